@@ -1,0 +1,399 @@
+"""The command line. Whatever is heavy is imported by the command that needs it, so that --help is quick."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+from . import __version__
+from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
+
+if TYPE_CHECKING:
+    from .sequence import Summary
+
+EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
+
+USAGE = """Usage: seepast COMMAND, for example
+
+  seepast demo                                  a small sample, leaves a picture
+  seepast run recording --out out               the static scene of every frame
+  seepast run recordings --out out --masks net  a folder of them, other masks
+  seepast run recording --out out --reference cam2 --set disparity.beta=0.01
+  seepast evaluate recording out                how right, where truth is known
+  seepast refocus recording --out out --depth 5 plain synthetic aperture
+  seepast synth made --rig rig.yaml --frames 10 --seed 1
+"""
+HELP = "\n\n".join(
+    (
+        "See past people with a camera array: the static scene's image, disparity and masks of one instant.",
+        "A recording is a folder with rig.yaml (Kalibr), cam0/<stamp>.png, cam1/<stamp>.png ... and "
+        "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic).",
+        "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
+        "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
+    )
+)
+
+
+app = App(
+    name="seepast",
+    usage=USAGE,
+    help=HELP,
+    help_format="plaintext",
+    version=__version__,
+    suppress_keyboard_interrupt=False,
+    version_flags=["--version"],
+)
+
+Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
+Range = Annotated[tuple[float, float] | None, Parameter(negative=(), show_default=False)]
+Backend = Literal["auto", "cpu", "reference"]
+Masks = Annotated[
+    str | None,
+    Parameter(
+        help="Folder of masks in the dataset (default: masks); 'none': no masks.",
+        show_default=False,
+    ),
+]
+
+
+@app.command
+def run(
+    dataset: Path,
+    /,
+    *,
+    out: Path,
+    masks: Masks = None,
+    preset: str = "paper",
+    reference: str = "cam0",
+    backend: Backend = "auto",
+    dynamic_only: Flag = False,
+    set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), show_default=False)] = None,
+    threads: int = 0,
+    overwrite: Flag = False,
+    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+) -> int:
+    """Reconstruct the static scene of every frame of a recording.
+
+    A run that was interrupted goes on where it stopped when the same command is given again.
+
+    Parameters
+    ----------
+    dataset
+        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or a folder of such: each goes to OUT/<its name>.
+    out
+        Output folder: background/ disparity/ depth/ coverage/ masks/ camera.yaml run.json.
+    preset
+        Named set of options.
+    reference
+        The camera whose view is reconstructed.
+    backend
+        auto takes the fastest that works here; reference is the readable NumPy one.
+    dynamic_only
+        Synthesise only what people hide; all else keeps its own pixels. Faster.
+    set_
+        One option, stage.field=value; may be repeated.
+    threads
+        0: as many as there are cores.
+    overwrite
+        Replace the output of an earlier, different run.
+    json_
+        Print one line of JSON per recording instead of text.
+    """
+    from .datasets import find_datasets, open_dataset
+    from .options import Options
+    from .sequence import Settings, process
+
+    options = Options.preset(preset).updated(_assignments(set_ or []))
+    settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
+    paths = find_datasets(dataset)
+    failed = 0
+    for path in paths:
+        target = out if paths == [dataset] else out / path.name
+        try:
+            recording = open_dataset(path, masks=masks)
+            with _progress(recording.name, len(recording.stamps)) as advance:
+                summary = process(recording, target, settings, on_frame=advance)
+        except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
+            if len(paths) == 1:
+                raise
+            failed += 1
+            _say_error(error)
+            continue
+        print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
+    return EXIT_ERROR if failed else 0
+
+
+@app.command
+def refocus(
+    dataset: Path,
+    /,
+    *,
+    out: Path,
+    depth: float | None = None,
+    disparity: float | None = None,
+    masked: Flag = False,
+    masks: Masks = None,
+    reference: str = "cam0",
+    overwrite: Flag = False,
+) -> int:
+    """Plain synthetic aperture refocusing on one plane: the average of all cameras, the baseline people know.
+
+    Parameters
+    ----------
+    dataset
+        Folder with rig.yaml and cam0/ cam1/ ...
+    out
+        Output folder: <stamp>.png in the rectified reference view.
+    depth
+        Depth of the plane in metres; or give --disparity.
+    disparity
+        The same in px over the full array (reference to farthest camera).
+    masked
+        Average only rays that the masks call static.
+    reference
+        The camera whose view is synthesised.
+    overwrite
+        Replace images that are there.
+    """
+    from .datasets import NO_MASKS, open_dataset
+    from .refocusing import refocus_sequence
+
+    recording = open_dataset(dataset, masks=masks if masked else NO_MASKS)
+    with _progress(recording.name, len(recording.stamps)) as advance:
+        plane = refocus_sequence(
+            recording,
+            out,
+            depth=depth,
+            disparity=disparity,
+            reference=reference,
+            overwrite=overwrite,
+            on_frame=advance,
+        )
+    print(f"{recording.name}: {_count(len(recording.stamps), 'frame')} refocused at {plane:.2f} px, {out}")
+    return 0
+
+
+@app.command
+def evaluate(
+    dataset: Path,
+    out: Path,
+    /,
+    *,
+    masks: Masks = None,
+    json_: Annotated[Path | None, Parameter(name="--json", show_default=False)] = None,
+) -> int:
+    """Compare what `run` wrote with the truth of the dataset.
+
+    Parameters
+    ----------
+    dataset
+        Folder with truth/, or a folder of such folders.
+    out
+        What `run` wrote for it.
+    json_
+        Also write the figures to this file.
+    """
+    from .datasets import NO_MASKS
+    from .evaluate import evaluate, table
+
+    rows = evaluate(dataset, out, None if masks == NO_MASKS else masks or "masks")
+    print(table(rows))
+    if json_ is not None:
+        from .export.atomic import write_json
+
+        write_json(
+            json_, {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
+        )
+    return 0
+
+
+@app.command
+def synth(
+    out: Path,
+    /,
+    *,
+    rig: Path,
+    frames: int = 10,
+    seed: int = 0,
+    masks: Literal["exact", "good", "network", "poor", "all", "none"] = "exact",
+    reference: str = "cam0",
+    figures: int = 2,
+    figure_depth: Range = None,
+    background_depth: Range = None,
+    noise: float = 1.5,
+    gain: float = 0.03,
+    grey: Flag = False,
+    samples: int = 2,
+) -> int:
+    """Make an array recording with truth: a textured room, moving people, a moving rig with its lenses.
+
+    Parameters
+    ----------
+    out
+        New folder: rig.yaml, cam0/ cam1/ ..., masks/ and truth/.
+    rig
+        Kalibr file of the array.
+    frames
+        Number of instants, 0.2 s apart.
+    seed
+        The same seed and arguments give the same files.
+    masks
+        How well the people are masked; 'all' makes every kind, in masks_<kind>/.
+    reference
+        The camera whose rectified view the truth lives in.
+    figures
+        Number of people.
+    figure_depth
+        MIN MAX metres from the array; as the array resolves best, if not given.
+    background_depth
+        MIN MAX metres from the array; as the array resolves best, if not given.
+    noise
+        Standard deviation at mid-grey, in grey levels.
+    gain
+        The cameras' gains differ from 1 by at most this.
+    grey
+        Grey images instead of colour.
+    samples
+        Each pixel is the mean of samples x samples rays.
+    """
+    from .synth import generate
+
+    with _progress(out.name, frames) as advance:
+        generate(
+            out,
+            rig,
+            frames=frames,
+            seed=seed,
+            reference=reference,
+            masks=masks,
+            figures=figures,
+            figure_depth=figure_depth,
+            background_depth=background_depth,
+            noise=noise,
+            gain=gain,
+            color=not grey,
+            samples=samples,
+            progress=lambda *_: advance(),
+        )
+    print(f"{out.name}: {_count(frames, 'frame')}, {_count(figures, 'figure')}, seed {seed}, {out}")
+    return 0
+
+
+@app.command
+def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
+    """See past the people of a small sample that comes with seepast, and draw before and after.
+
+    Parameters
+    ----------
+    out
+        Output folder: before_after.png, and the output of the run in sample/.
+    backend
+        auto takes the fastest that works here; reference is the readable NumPy one.
+    """
+    from .demo import run_demo
+
+    done = run_demo(out, backend)
+    milliseconds = done.summary.milliseconds["total"]
+    print(
+        f"people hide {100 * done.hidden_share:.1f} % of the view; {100 * done.seen_share:.1f} % of that "
+        f"comes back from other cameras, at {done.psnr:.1f} dB, in {milliseconds:.0f} ms"
+    )
+    print(done.picture.resolve())
+    return 0
+
+
+def _assignments(words: Sequence[str]) -> dict[str, str]:
+    """["stage.field=value", ...] as a dict. Raises OptionsError."""
+    pairs: dict[str, str] = {}
+    for word in words:
+        name, equals, value = word.partition("=")
+        if not (name and equals and value):
+            raise OptionsError(
+                f"--set {word}: write it as stage.field=value, for instance --set disparity.beta=0.01"
+            )
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+def _summary_line(summary: Summary) -> str:
+    before = summary.frames - summary.computed
+    frames = _count(summary.frames, "frame") + (f" ({before} from before)" if before else "")
+    total = summary.milliseconds.get("total")
+    speed = "not timed" if total is None else f"{total:.0f} ms per frame"
+    share = summary.coverage_share
+    covered = "coverage unknown" if share is None else f"coverage {100 * share:.1f} %"
+    return f"{summary.name}: {frames}, {speed}, {covered}, {summary.out}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+@contextlib.contextmanager
+def _progress(name: str, total: int) -> Iterator[Any]:
+    """A progress bar on stderr, nothing where that is no terminal; yields the function that advances it."""
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(name, total=total)
+        yield lambda: progress.advance(task)
+
+
+class _StderrHandler(logging.Handler):
+    """Warnings in one line each, on the stderr of the moment (a progress bar redirects it)."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(f"seepast: {record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
+
+
+def _say_error(error: object) -> None:
+    print("seepast: error: " + " ".join(str(error).split()), file=sys.stderr, flush=True)
+
+
+class _Terminated(BaseException):
+    """SIGTERM, as an exception, so that files in the making are cleaned up."""
+
+
+def _on_sigterm(*_: object) -> None:
+    raise _Terminated
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command (default: sys.argv) and return its exit code; see HELP."""
+    log = logging.getLogger("seepast")
+    handler = _StderrHandler(logging.WARNING)
+    log.addHandler(handler)
+    with contextlib.suppress(ValueError):  # not in the main thread: somebody else handles signals
+        signal.signal(signal.SIGTERM, _on_sigterm)
+    try:
+        tokens = sys.argv[1:] if arguments is None else list(arguments)
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        return code if isinstance(code, int) else 0
+    except (SeepastError, CycloptsError) as error:
+        _say_error(error)
+        return EXIT_ERROR
+    except KeyboardInterrupt:
+        _say_error("interrupted; what is finished stays")
+        return EXIT_INTERRUPTED
+    except _Terminated:
+        _say_error("terminated; what is finished stays")
+        return EXIT_TERMINATED
+    finally:
+        log.removeHandler(handler)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

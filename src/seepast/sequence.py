@@ -1,0 +1,112 @@
+"""One recording in, one output folder out: what `seepast run` does for each dataset."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from . import __version__, backends
+from .datasets import NO_MASKS, Dataset
+from .export import FolderWriter, Run
+from .options import Options
+from .pipeline import Reconstructor
+from .rig import Rig
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to run; see `reconstruct` for each. reference is a camera's name or index."""
+
+    options: Options
+    reference: int | str = 0
+    backend: str = "auto"
+    dynamic_only: bool = False
+    threads: int = 0
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What became of one recording.
+
+    frames          finished frames in `out`; computed: those of this run, the others were there before
+    milliseconds    median per frame of each stage, and "total"
+    coverage_share  mean share of the pixels that some camera saw; None if nothing was computed yet
+    """
+
+    name: str
+    out: str
+    frames: int
+    computed: int
+    milliseconds: dict[str, float]
+    coverage_share: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def process(
+    dataset: Dataset, out: str | Path, settings: Settings, *, on_frame: Callable[[], None] = lambda: None
+) -> Summary:
+    """Reconstruct every frame of `dataset` that `out` does not hold yet.
+
+    `on_frame` is called after every frame, finished ones included. Raises SeepastError; what was finished
+    before stays, and an equal later call goes on from there.
+    """
+    reference = dataset.rig.index(settings.reference)
+    run = describe_run(dataset, settings)
+    reconstructor = Reconstructor(
+        dataset.rig,
+        options=settings.options,
+        reference=reference,
+        backend=run.backend,
+        dynamic_only=settings.dynamic_only,
+        threads=settings.threads,
+    )
+    computed = 0
+    names = [camera.name for camera in dataset.rig.cameras]
+    with FolderWriter(out, run, names, overwrite=settings.overwrite) as writer:
+        for stamp in dataset.stamps:
+            if not writer.done(stamp):
+                frame = dataset.frame(stamp)
+                start = time.perf_counter()
+                result = reconstructor(frame.images, frame.masks)
+                writer.write(stamp, result, 1e3 * (time.perf_counter() - start))
+                computed += 1
+            on_frame()
+    figures = writer.summary()
+    return Summary(
+        dataset.name,
+        str(out),
+        figures["frames"],
+        computed,
+        figures["milliseconds"],
+        figures["coverage_share"],
+    )
+
+
+def describe_run(dataset: Dataset, settings: Settings) -> Run:
+    """What determines the output of `process`, for run.json and for going on with an earlier run."""
+    return Run(
+        seepast=__version__,
+        dataset=str(dataset.path.resolve()),
+        masks=NO_MASKS if dataset.masks is None else str(dataset.masks.resolve()),
+        rig=_digest(dataset.rig),
+        reference=dataset.rig.cameras[dataset.rig.index(settings.reference)].name,
+        backend=backends.get(settings.backend).__name__.rpartition(".")[2],
+        dynamic_only=settings.dynamic_only,
+        options=settings.options.flat(),
+    )
+
+
+def _digest(rig: Rig) -> str:
+    cameras = [
+        (c.name, c.model, c.distortion, list(c.intrinsics), list(c.distortion_coeffs), list(c.resolution),
+         c.cam_from_rig.tolist())
+        for c in rig.cameras
+    ]  # fmt: skip
+    return hashlib.sha256(repr(cameras).encode()).hexdigest()[:16]
