@@ -1,0 +1,232 @@
+// Stage "disparity", the M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d | T, x) over the candidates.
+//
+// The loops run disparity by disparity over runs of a band of rows, not pixel by pixel over disparities: at one
+// disparity a row of a camera is read with one constant shift, which vectorises; the candidates of a pixel only
+// decide whether its energy may win.
+#include <algorithm>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "core.h"
+
+namespace seepast {
+namespace {
+
+constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
+constexpr int kReach = 2;                         // of the descriptor's pattern
+
+SEEPAST_CLONES
+void phase_row(const int8_t* __restrict du, const int8_t* __restrict dv, const uint8_t* __restrict is_static, int width,
+               int phase, int8_t* __restrict out_du, int8_t* __restrict out_dv, int8_t* __restrict out_static) {
+  const int last = phase ? width - 1 : width;  // the pixel after the last one does not exist
+  const int next = phase ? 1 : 0;
+  for (int x = 0; x < last; ++x) {
+    const int8_t known = static_cast<int8_t>(is_static[x] & is_static[x + next]);
+    out_du[x] = static_cast<int8_t>(known * interpolate(du[x], du[x + next], phase));
+    out_dv[x] = static_cast<int8_t>(known * interpolate(dv[x], dv[x + next], phase));
+    out_static[x] = known;
+  }
+  for (int x = last; x < width; ++x) out_du[x] = out_dv[x] = out_static[x] = 0;
+}
+
+// Adds one camera's rays to the sums of a row: number of rays, sum and sum of squares of du and dv.
+SEEPAST_CLONES
+void add_rays(const int8_t* __restrict du, const int8_t* __restrict dv, const int8_t* __restrict known, int count,
+              int16_t* __restrict n, int16_t* __restrict sum_du, int16_t* __restrict sum_dv, int32_t* __restrict sq_du,
+              int32_t* __restrict sq_dv) {
+  for (int x = 0; x < count; ++x) {
+    const int16_t u = du[x], v = dv[x];
+    n[x] = static_cast<int16_t>(n[x] + known[x]);
+    sum_du[x] = static_cast<int16_t>(sum_du[x] + u);
+    sum_dv[x] = static_cast<int16_t>(sum_dv[x] + v);
+    sq_du[x] += static_cast<int16_t>(u * u);
+    sq_dv[x] += static_cast<int16_t>(v * v);
+  }
+}
+
+SEEPAST_CLONES
+void pack_row(const int16_t* __restrict n, const int16_t* __restrict sum_du, const int16_t* __restrict sum_dv,
+              const int32_t* __restrict sq_du, const int32_t* __restrict sq_dv, int count, int32_t* __restrict du,
+              int32_t* __restrict dv) {
+  for (int x = 0; x < count; ++x) du[x] = packed_variance(n[x], sum_du[x], sq_du[x]);
+  for (int x = 0; x < count; ++x) dv[x] = packed_variance(n[x], sum_dv[x], sq_dv[x]);
+}
+
+// Sums the packed variances over the descriptor's pattern and lets the pixels whose candidate this is compete.
+// du and dv: the five rows around, starting kReach columns before the first pixel.
+SEEPAST_CLONES
+void compete_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv, int count, int away_of_zero,
+                 const int32_t* __restrict mean, const uint8_t* __restrict eligible, const DisparityParams& params,
+                 float value, float* __restrict best, float* __restrict out) {
+  const float* table = params.table;
+  const int tail = params.table_size - 1, radius = params.prior_radius;
+  const float beta = params.beta, lone = params.lone_variance;
+  const int32_t *u0 = du[0], *u1 = du[1], *u2 = du[2], *u3 = du[3], *u4 = du[4];
+  const int32_t *v1 = dv[1], *v2 = dv[2], *v3 = dv[3];
+  for (int x = 0; x < count; ++x) {
+    const int packed = u0[x + 2] + u1[x] + u1[x + 2] + u1[x + 4] + u2[x + 1] + 2 * u2[x + 2] + u2[x + 3] + u3[x] +
+                       u3[x + 2] + u3[x + 4] + u4[x + 2] + v1[x + 2] + v2[x + 1] + v2[x + 3] + v3[x + 2];
+    const float variance = u2[x + 2] ? descriptor_variance(packed) : lone;
+    int away = away_of_zero - mean[x];
+    away = away < 0 ? -away : away;
+    const float energy = beta * variance + table[away < tail ? away : tail];
+    const bool wins = ((eligible[x] == 2) | ((eligible[x] == 1) & (away <= radius))) & (energy < best[x]);
+    best[x] = wins ? energy : best[x];
+    out[x] = wins ? value : out[x];
+  }
+}
+
+// Everything one thread needs while it sweeps a band.
+struct Sweep {
+  Sweep(const Array& array, const int8_t* phases) : array(array), phases(phases), stride(array.width + 2 * kReach) {
+    n.resize(3 * static_cast<size_t>(stride));
+    squares.resize(2 * static_cast<size_t>(stride));
+    packed.resize(2 * (kCellRows + 2 * kReach) * static_cast<size_t>(stride));
+  }
+
+  int32_t* row(int plane, int j) { return packed.data() + (static_cast<size_t>(plane) * (kCellRows + 4) + j) * stride; }
+
+  // Packed variances of reference row y, columns [from, to), at disparity d; column 0 of the row is `from`.
+  void variances(int y, int from, int to, float d, int32_t* du, int32_t* dv) {
+    const int count = to - from;
+    std::fill_n(n.data(), 3 * static_cast<size_t>(stride), 0);
+    std::fill_n(squares.data(), 2 * static_cast<size_t>(stride), 0);
+    for (int k = 0; k < array.cameras; ++k) {
+      const RayShift shift = array.shift(k, d);
+      const int row = y + whole_offset(ray_dy(shift, y, array.cy));
+      if (row < 0 || row >= array.height) continue;
+      for (int x = from; x < to;) x = add_run(k, shift, row, x, from, to);
+    }
+    pack_row(n.data(), n.data() + stride, n.data() + 2 * stride, squares.data(), squares.data() + stride, count, du,
+             dv);
+  }
+
+  // Adds camera k's rays from column x on, as far as they keep one quarter-pixel shift; returns where that ends.
+  int add_run(int k, const RayShift& shift, int row, int x, int from, int to) {
+    const int quarter = quarter_offset(ray_dx(shift, x, array.cx));
+    int end = to;  // the shift is monotonic in x: halve until it is the same at both ends
+    while (end - x > 1 && quarter_offset(ray_dx(shift, end - 1, array.cx)) != quarter) end = x + (end - x) / 2;
+    const int whole = quarter >> 2, phase = quarter & 3;
+    const int a = std::max(x, -whole), b = std::min(end, array.width - whole);
+    if (a < b) {
+      const size_t pixels = array.pixels();
+      const int8_t* plane = phases + static_cast<size_t>(k * 4 + phase) * 3 * pixels +
+                            static_cast<size_t>(row) * array.width + (a + whole);
+      const int at = a - from;
+      add_rays(plane, plane + pixels, plane + 2 * pixels, b - a, n.data() + at, n.data() + stride + at,
+               n.data() + 2 * stride + at, squares.data() + at, squares.data() + stride + at);
+    }
+    return end;
+  }
+
+  const Array& array;
+  const int8_t* phases;
+  int stride;
+  std::vector<int16_t> n;        // rays, sum du, sum dv
+  std::vector<int32_t> squares;  // of du, of dv
+  std::vector<int32_t> packed;   // variances of du, dv: kCellRows + 4 rows each
+};
+
+// Which pixels of a band may take candidate i: 0 no, 1 if it lies near their prior mean, 2 yes.
+struct Band {
+  Band(const Array& array, const int32_t* mean, const uint8_t* cells, const Grid& grid, const uint8_t* wanted,
+       int radius, int y0)
+      : width(array.width), y0(y0), y1(std::min(y0 + kCellRows, array.height)), count(grid.count) {
+    columns = (width + kCellColumns - 1) / kCellColumns;
+    active.assign(static_cast<size_t>(count) * columns, 0);
+    for (int c = 0; c < columns; ++c) {
+      int low = std::numeric_limits<int>::max(), high = std::numeric_limits<int>::min();
+      for (int y = y0; y < y1; ++y)
+        for (int x = c * kCellColumns; x < std::min(width, (c + 1) * kCellColumns); ++x)
+          if (const size_t at = static_cast<size_t>(y) * width + x; wanted[at]) {
+            low = std::min(low, mean[at]);
+            high = std::max(high, mean[at]);
+          }
+      if (low > high) continue;  // nothing wanted here
+      const uint8_t* of_cell = cells + (static_cast<size_t>(y0 / kCellRows) * columns + c) * count;
+      for (int i = 0; i < count; ++i) {
+        const int d8 = grid.first + i * grid.step;
+        const bool near_mean = d8 >= low - radius && d8 <= high + radius;
+        active[static_cast<size_t>(i) * columns + c] = of_cell[i] ? 2 : (near_mean ? 1 : 0);
+      }
+    }
+  }
+
+  // Next run of columns of cells from `c` on that candidate i concerns; false if none is left.
+  bool next_run(int i, int& c, int& end) const {
+    const uint8_t* row = active.data() + static_cast<size_t>(i) * columns;
+    while (c < columns && !row[c]) ++c;
+    end = c;
+    while (end < columns && row[end]) ++end;
+    return c < columns;
+  }
+
+  int width, y0, y1, count, columns;
+  std::vector<uint8_t> active;  // [count, columns]
+};
+
+void sweep_band(Sweep& sweep, const Band& band, const Grid& grid, const int32_t* mean, const uint8_t* wanted,
+                const DisparityParams& params, float* best, float* out) {
+  const Array& array = sweep.array;
+  const int width = array.width;
+  std::vector<uint8_t> eligible(width);
+  for (int i = 0; i < grid.count; ++i) {
+    const uint8_t* active = band.active.data() + static_cast<size_t>(i) * band.columns;
+    for (int c = 0, end = 0; band.next_run(i, c, end); c = end) {
+      const int from = c * kCellColumns, to = std::min(width, end * kCellColumns);
+      const int left = std::max(0, from - kReach), right = std::min(width, to + kReach);
+      for (int j = 0; j < band.y1 - band.y0 + 2 * kReach; ++j) {
+        const int y = band.y0 + j - kReach;
+        // pixels beyond the image count as unknown
+        std::memset(sweep.row(0, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
+        std::memset(sweep.row(1, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
+        if (y < 0 || y >= array.height) continue;
+        const int at = left - (from - kReach);
+        sweep.variances(y, left, right, grid.value(i), sweep.row(0, j) + at, sweep.row(1, j) + at);
+      }
+      for (int y = band.y0; y < band.y1; ++y) {
+        const size_t at = static_cast<size_t>(y) * width + from;
+        for (int x = from; x < to; ++x) eligible[x] = wanted[at + x - from] ? active[x / kCellColumns] : 0;
+        const int32_t *du[5], *dv[5];
+        for (int j = 0; j < 5; ++j) du[j] = sweep.row(0, y - band.y0 + j), dv[j] = sweep.row(1, y - band.y0 + j);
+        compete_row(du, dv, to - from, grid.first + i * grid.step, mean + at, eligible.data() + from, params,
+                    grid.value(i), best + at, out + at);
+      }
+    }
+  }
+}
+
+}  // namespace
+
+void phase_planes(const Array& array, const int8_t* gradients, const uint8_t* is_static, int8_t* phases) {
+  const size_t pixels = array.pixels();
+#pragma omp parallel for schedule(static)
+  for (int line = 0; line < array.cameras * array.height; ++line) {
+    const int k = line / array.height;
+    const size_t row = static_cast<size_t>(line % array.height) * array.width;
+    const int8_t* du = gradients + 2 * k * pixels + row;
+    for (int phase = 0; phase < 4; ++phase) {
+      int8_t* to = phases + static_cast<size_t>(k * 4 + phase) * 3 * pixels + row;
+      phase_row(du, du + pixels, is_static + k * pixels + row, array.width, phase, to, to + pixels, to + 2 * pixels);
+    }
+  }
+}
+
+void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells, const Grid& grid,
+               const uint8_t* wanted, const DisparityParams& params, float* out) {
+  std::vector<float> best(array.pixels(), std::numeric_limits<float>::infinity());
+  std::fill_n(out, array.pixels(), 0.0f);
+  const int bands = (array.height + kCellRows - 1) / kCellRows;
+#pragma omp parallel
+  {
+    Sweep sweep(array, phases);
+#pragma omp for schedule(dynamic, 1)
+    for (int b = 0; b < bands; ++b) {
+      const Band band(array, mean, cells, grid, wanted, params.prior_radius, b * kCellRows);
+      sweep_band(sweep, band, grid, mean, wanted, params, best.data(), out);
+    }
+  }
+}
+
+}  // namespace seepast

@@ -1,0 +1,148 @@
+// Stage "segmentation", the E-step: argmin over the 2^K label sets S of beta Var_S - sum_k log p(S^k | S_P^k).
+//
+// Not all sets need looking at. The set S_0 of every ray's cheaper label has the least prior cost there is, so a
+// set can only win by saving variance: rays whose other label costs more than beta Var_{S_0} on top can never
+// flip. Mostly none is left, and the result is still the exact minimum.
+#include <bit>
+#include <cmath>
+
+#include "rays.h"
+
+namespace seepast {
+namespace {
+
+// The rays of one reference pixel at its disparity.
+struct Rays {
+  int16_t f[kMaxCameras][kSamples];
+  int distance[kMaxCameras][kMaxCameras];
+  int cost[2][kMaxCameras];  // of calling the ray dynamic, static
+  uint8_t p[kMaxCameras];
+  uint32_t exist;
+};
+
+SEEPAST_CLONES
+void gather(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const int32_t* costs, int x, int y,
+            float d, Rays& rays) {
+  const size_t pixels = array.pixels();
+  rays.exist = 0;
+  for (int k = 0; k < array.cameras; ++k) {
+    const QuarterPosition q = quarter_position(array, k, x, y, d);
+    if (!inside(q.xq, q.row, array.width, array.height)) continue;
+    const uint8_t* prior = dynamic + k * pixels + static_cast<size_t>(q.row) * array.width + (q.xq >> 2);
+    const uint8_t p = (q.xq & 3) && prior[1] > prior[0] ? prior[1] : prior[0];
+    if (p == kNoRay) continue;
+    rays.p[k] = p;
+    rays.cost[0][k] = costs[p];
+    rays.cost[1][k] = costs[255 + p];
+    ray_descriptor(descriptors + k * pixels * kSamples, array.width, q.xq, q.row, rays.f[k]);
+    for (int j = 0; j < k; ++j)
+      if (rays.exist >> j & 1) rays.distance[k][j] = rays.distance[j][k] = squared_distance(rays.f[k], rays.f[j]);
+    rays.exist |= 1u << k;
+  }
+}
+
+int spread_to(const Rays& rays, uint32_t set, int k) {
+  int sum = 0;
+  for (uint32_t rest = set; rest; rest &= rest - 1) sum += rays.distance[k][std::countr_zero(rest)];
+  return sum;
+}
+
+int spread_of(const Rays& rays, uint32_t set) {
+  int sum = 0;
+  for (uint32_t rest = set; rest; rest &= rest - 1)
+    sum += spread_to(rays, rest & (rest - 1), std::countr_zero(rest));
+  return sum;
+}
+
+int64_t prior_of(const Rays& rays, uint32_t set) {
+  int64_t sum = 0;
+  for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {
+    const int k = std::countr_zero(rest);
+    sum += rays.cost[set >> k & 1][k];
+  }
+  return sum;
+}
+
+double data_energy(const SegmentationParams& params, int spread, int n) {
+  const double variance = n > 1 ? spread * (1.0 / (n * n)) : params.lone_variance;
+  return params.beta * variance;
+}
+
+double energy_of(const Rays& rays, const SegmentationParams& params, uint32_t set) {
+  return data_energy(params, spread_of(rays, set), std::popcount(set)) + static_cast<double>(prior_of(rays, set));
+}
+
+// Rays whose dearer label could pay for itself against S_0.
+uint32_t flippable(const Rays& rays, double slack) {
+  uint32_t set = 0;
+  for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {
+    const int k = std::countr_zero(rest);
+    if (std::abs(rays.cost[0][k] - rays.cost[1][k]) <= slack) set |= 1u << k;
+  }
+  return set;
+}
+
+// Walks through all subsets of `flips` in Gray-code order, one ray at a time; ties go to the smaller label number.
+uint32_t best_set(const Rays& rays, const SegmentationParams& params, uint32_t start, uint32_t flips) {
+  uint32_t set = start, best = start;
+  int spread = spread_of(rays, set);
+  int64_t prior = prior_of(rays, set);
+  double lowest = data_energy(params, spread, std::popcount(set)) + static_cast<double>(prior);
+  int toggles[kMaxCameras], m = 0;
+  for (uint32_t rest = flips; rest; rest &= rest - 1) toggles[m++] = std::countr_zero(rest);
+  for (uint32_t step = 1; step < 1u << m; ++step) {
+    const int k = toggles[std::countr_zero(step)];
+    const uint32_t bit = 1u << k;
+    const bool leaves = set & bit;
+    set ^= bit;
+    spread += (leaves ? -1 : 1) * spread_to(rays, set & ~bit, k);
+    prior += leaves ? rays.cost[0][k] - rays.cost[1][k] : rays.cost[1][k] - rays.cost[0][k];
+    const double energy = data_energy(params, spread, std::popcount(set)) + static_cast<double>(prior);
+    if (energy < lowest || (energy == lowest && set < best)) lowest = energy, best = set;
+  }
+  return best;
+}
+
+uint32_t label_set(const Rays& rays, const SegmentationParams& params) {
+  uint32_t start = 0;
+  for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {
+    const int k = std::countr_zero(rest);
+    if (rays.cost[1][k] < rays.cost[0][k]) start |= 1u << k;
+  }
+  const double slack = data_energy(params, spread_of(rays, start), std::popcount(start));
+  return best_set(rays, params, start, flippable(rays, slack));
+}
+
+uint8_t posterior_of(const Rays& rays, const SegmentationParams& params, uint32_t set, int k) {
+  const uint32_t bit = 1u << k;
+  const double gain = energy_of(rays, params, set & ~bit) - energy_of(rays, params, set | bit);
+  const double reach = params.posterior_reach, fine = std::floor(gain * params.posterior_scale + 0.5);
+  const double index = fine < -reach ? -reach : (fine > reach ? reach : fine);
+  return params.posterior[static_cast<int>(index) + params.posterior_reach];
+}
+
+}  // namespace
+
+void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const float* d,
+                  const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels, uint8_t* posterior) {
+  const size_t pixels = array.pixels();
+#pragma omp parallel for schedule(dynamic, 8)
+  for (int y = 0; y < array.height; ++y) {
+    Rays rays;
+    for (int x = 0; x < array.width; ++x) {
+      const size_t at = static_cast<size_t>(y) * array.width + x;
+      for (int k = 0; k < array.cameras; ++k) posterior[k * pixels + at] = kUnchanged;
+      labels[at] = 0;
+      if (!wanted[at]) continue;
+      gather(array, descriptors, dynamic, params.costs, x, y, d[at], rays);
+      const uint32_t set = label_set(rays, params);
+      labels[at] = static_cast<uint16_t>(set);
+      for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {
+        const int k = std::countr_zero(rest);
+        if ((set >> k & 1) != (rays.p[k] < 127)) posterior[k * pixels + at] = posterior_of(rays, params, set, k);
+      }
+    }
+  }
+}
+
+}  // namespace seepast

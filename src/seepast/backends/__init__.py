@@ -1,0 +1,31 @@
+"""Backends: one method, several implementations with the same function names, arrays in and arrays out."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from ..errors import BackendError
+
+BACKENDS = ("cpu", "reference")
+
+
+def get(name: str) -> ModuleType:
+    """The backend module `name`; "auto" is the fastest one that works here. Raises BackendError."""
+    if name == "auto":
+        name = BACKENDS[0]
+    if name not in BACKENDS:
+        raise BackendError(f"backend {name!r} is unknown: choose auto or one of {', '.join(BACKENDS)}")
+    try:
+        return importlib.import_module(f".{name}", __name__)
+    except ImportError as error:
+        raise BackendError(
+            f"backend {name!r} cannot be loaded ({error}): reinstall seepast with a C++ compiler, or use "
+            "--backend reference"
+        ) from error
+
+
+def set_threads(backend: ModuleType, threads: int) -> None:
+    """Threads for the frames to come, where the backend has any; 0 = all cores. Never changes a result."""
+    if hasattr(backend, "set_threads"):
+        backend.set_threads(threads)

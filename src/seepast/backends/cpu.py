@@ -1,0 +1,164 @@
+"""The C++ core under the stage names of reference.py: shapes and glue here, loops in cpp/."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import _core
+from ..candidates import CELL, EIGHTHS, DisparityGrid, Prior, prior_energy
+from ..evidence import POSTERIOR, POSTERIOR_SCALE, prior_costs, NATS
+from ..geometry import ArrayGeometry
+from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
+from ..triangulation import delaunay, with_corners
+from .reference import (
+    FOREGROUND_WEIGHT,
+    NEARER,
+    NO_PLANE,
+    consistent,
+    fill_gaps,
+    into_reference,
+    median3,
+    merged,
+    neighbour_camera,
+)
+
+set_threads = _core.set_threads
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """gradients int8 [K, 2, H, W]; descriptors uint8 [K, H, W, 16], the same samples gathered, biased by 128."""
+
+    gradients: np.ndarray
+    descriptors: np.ndarray
+
+
+def describe(grey: np.ndarray) -> Features:
+    K, height, width = grey.shape
+    features = Features(np.empty((K, 2, height, width), np.int8), np.empty((K, height, width, 16), np.uint8))
+    _core.describe(np.ascontiguousarray(grey), features.gradients, features.descriptors)
+    return features
+
+
+def support(
+    features: Features, static: np.ndarray, geometry: ArrayGeometry, grid: DisparityGrid, options: SupportOptions
+) -> np.ndarray:
+    shape = static.shape[1:]
+    params = _core.SupportParams(
+        options.grid, options.texture, options.left_right, options.uniqueness, options.max_cost
+    )
+    buffer = np.empty((-(-shape[0] // options.grid) * -(-shape[1] // options.grid), 4), np.float32)
+    found = []
+    for base in range(geometry.cameras):
+        view, partner = geometry.seen_from(base), neighbour_camera(geometry, base)
+        back = geometry.seen_from(partner).offsets
+        count = _core.support_of_camera(
+            view.offsets, back, *_center(geometry), base, partner, features.descriptors, _bytes(static),
+            _grid(grid), params, buffer,
+        )  # fmt: skip
+        x, y, d, variance = buffer[:count].T
+        found.append(
+            into_reference(static, geometry, base, x.astype(np.int32), y.astype(np.int32), d.copy(), variance.copy())
+        )
+    return consistent(merged(np.concatenate(found), shape, options), options)
+
+
+def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, options: PriorOptions) -> Prior:
+    rows, columns = (-(-size // cell) for size, cell in zip(shape, CELL, strict=True))
+    if not len(points):
+        return Prior(np.full(shape, grid.first, np.int32), np.ones((rows, columns, grid.count), np.uint8))
+    corners = with_corners(points, shape)
+    mean = np.empty(shape, np.int32)
+    _core.plane_means(corners, delaunay(corners, shape), NO_PLANE, mean)
+    cells = np.zeros((rows, columns, grid.count), np.uint8)
+    _core.cell_candidates(np.ascontiguousarray(points), _grid(grid), options.neighbour_radius, cells)
+    last = grid.first + grid.step * (grid.count - 1)
+    return Prior(fill_gaps(mean).clip(grid.first, last), cells)
+
+
+def disparity(
+    features: Features,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    prior: Prior,
+    grid: DisparityGrid,
+    wanted: np.ndarray,
+    options: Options,
+) -> np.ndarray:
+    K, height, width = static.shape
+    phases = np.empty((K, 4, 3, height, width), np.int8)
+    _core.phase_planes(geometry.offsets, features.gradients, _bytes(static), phases)
+    out = np.empty((height, width), np.float32)
+    _core.disparity(
+        geometry.offsets, *_center(geometry), phases, prior.mean, prior.cells, _grid(grid), _bytes(wanted),
+        options.disparity.beta, options.disparity.lone_variance, int(EIGHTHS * options.prior.radius),
+        prior_energy(options.prior), out,
+    )  # fmt: skip
+    return out
+
+
+def segmentation(
+    features: Features,
+    dynamic: np.ndarray,
+    geometry: ArrayGeometry,
+    disparity: np.ndarray,
+    wanted: np.ndarray,
+    options: Options,
+) -> tuple[np.ndarray, np.ndarray]:
+    labels, posterior = np.empty(disparity.shape, np.uint16), np.empty(dynamic.shape, np.uint8)
+    _core.segmentation(
+        geometry.offsets, *_center(geometry), features.descriptors, dynamic, disparity, _bytes(wanted),
+        NATS * options.segmentation.beta, options.disparity.lone_variance, prior_costs(options.segmentation),
+        POSTERIOR, POSTERIOR_SCALE, labels, posterior,
+    )  # fmt: skip
+    return labels, posterior
+
+
+def masks(
+    labels: np.ndarray,
+    posterior: np.ndarray,
+    geometry: ArrayGeometry,
+    disparity: np.ndarray,
+    wanted: np.ndarray,
+    dynamic: np.ndarray,
+    static: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    dynamic, static = dynamic.copy(), static.copy()
+    _core.masks(
+        geometry.offsets, *_center(geometry), labels, posterior, disparity, _bytes(wanted), dynamic, _bytes(static)
+    )
+    return dynamic, static
+
+
+def refocus(
+    colour: np.ndarray,
+    labels: np.ndarray,
+    geometry: ArrayGeometry,
+    disparity: np.ndarray,
+    keep: np.ndarray,
+    options: RefocusOptions,
+) -> tuple[np.ndarray, np.ndarray]:
+    background, coverage = np.empty(colour.shape[1:], np.uint8), np.empty(labels.shape, np.uint8)
+    _core.refocus(
+        geometry.offsets, *_center(geometry), colour, geometry.reference, labels, disparity, _bytes(keep),
+        background, coverage,
+    )  # fmt: skip
+    if not coverage.all():
+        _core.fill_unseen(coverage, disparity, NEARER, FOREGROUND_WEIGHT, background)
+    if options.median:
+        background = np.where(keep[..., None], background, median3(background))
+    return background, coverage
+
+
+def _bytes(mask: np.ndarray) -> np.ndarray:
+    return mask.view(np.uint8)  # bool and uint8 share their bytes: no copy, and writes go through
+
+
+def _center(geometry: ArrayGeometry) -> tuple[float, float]:
+    return geometry.center
+
+
+def _grid(grid: DisparityGrid) -> _core.Grid:
+    return _core.Grid(grid.first, grid.step, grid.count)

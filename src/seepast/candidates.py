@@ -1,0 +1,62 @@
+"""What the disparity stage is given to choose from: the grid of candidate disparities and the planar prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import OptionsError
+from .options import PriorOptions, RangeOptions
+
+EIGHTHS = 8  # disparities of candidates and of the prior mean are whole eighths of a pixel
+CELL = (16, 32)  # rows, columns: pixels of one cell share the candidates of the support points around them
+
+
+@dataclass(frozen=True)
+class DisparityGrid:
+    """Candidate disparities d_i = (first + i * step) / 8 px over the full array, i = 0 .. count - 1."""
+
+    first: int
+    step: int
+    count: int
+
+    @staticmethod
+    def of(options: RangeOptions, width: int) -> DisparityGrid:
+        """The grid that `options` asks for in images `width` px wide. Raises OptionsError if it is empty."""
+        low, high = options.min_disparity, options.max_disparity or 0.45 * width
+        if high <= low:
+            raise OptionsError(
+                f"options range.min_disparity ({low:g} px) and range.max_disparity ({high:g} px) leave nothing to search"
+            )
+        step = max(1, round(EIGHTHS * options.step))
+        first = round(EIGHTHS * low)
+        return DisparityGrid(first, step, int((round(EIGHTHS * high) - first) // step) + 1)
+
+    @property
+    def values(self) -> np.ndarray:
+        """float32 [count] px."""
+        return (np.float32(self.first) + np.float32(self.step) * np.arange(self.count, dtype=np.float32)) / EIGHTHS
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """p(d | T, x): the plane means mu(x) and the candidate disparities of every cell.
+
+    mean   int32 [H, W], mu in eighths of a pixel of disparity
+    cells  uint8 [ceil(H/16), ceil(W/32), count], 1 = candidate for every pixel of the cell
+    """
+
+    mean: np.ndarray
+    cells: np.ndarray
+
+
+def prior_energy(options: PriorOptions) -> np.ndarray:
+    """-log[gamma + exp(-(d - mu)^2 / (2 sigma^2))] for |d - mu| = 0, 1/8, 2/8 ... px; the last entry is the tail.
+
+    float32; index min(8 |d - mu|, len - 1).
+    """
+    reach = int(np.ceil(EIGHTHS * 6 * options.sigma)) + 1
+    t = np.arange(reach) / EIGHTHS
+    energy = -np.log(options.gamma + np.exp(-(t**2) / (2 * options.sigma**2)))
+    return np.append(energy, -np.log(options.gamma)).astype(np.float32)

@@ -1,0 +1,90 @@
+"""One instant of the array: input checked, then rectified."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .errors import InputError
+from .rectify import Rectification
+from .rig import Rig
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Rectified views: colour uint8 [K, H, W, C], grey uint8 [K, H, W], dynamic uint8 [K, H, W].
+
+    dynamic is in 254ths of P(dynamic); rectify.NO_RAY (255) where a view has no source pixel.
+    """
+
+    colour: np.ndarray
+    grey: np.ndarray
+    dynamic: np.ndarray
+
+
+def check_frame(
+    rig: Rig, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Images and masks as uint8 arrays of the rig's sizes. Raises InputError naming the camera and the mend."""
+    K = len(rig.cameras)
+    if len(images) != K:
+        raise InputError(f"images: {len(images)} given, the rig has {K} cameras: give one per camera, in its order")
+    if masks is None:
+        masks = [np.zeros(np.shape(image)[:2], np.uint8) for image in images]
+    if len(masks) != K:
+        raise InputError(f"masks: {len(masks)} given, the rig has {K} cameras: give one per camera, in its order")
+    checked = [_image(camera.name, image, camera.resolution) for camera, image in zip(rig.cameras, images, strict=True)]
+    if len({image.ndim for image in checked}) > 1:
+        raise InputError("images: some are grey and some colour: convert them all to one kind")
+    return checked, [_mask(c.name, mask, c.resolution) for c, mask in zip(rig.cameras, masks, strict=True)]
+
+
+def _image(name: str, image: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
+    image = np.asarray(image)
+    if image.ndim == 3 and image.shape[2] == 1:
+        image = image[..., 0]
+    if image.dtype != np.uint8:
+        raise InputError(f"image of {name} is {image.dtype}: seepast takes 8-bit images; scale it to uint8")
+    if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3):
+        raise InputError(f"image of {name} has shape {image.shape}: give [h, w] grey or [h, w, 3] BGR, without alpha")
+    _size("image", name, image, resolution)
+    return image
+
+
+def _mask(name: str, mask: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
+    mask = np.asarray(mask)
+    if mask.ndim != 2:
+        raise InputError(f"mask of {name} has shape {mask.shape}: give one channel [h, w] of P(dynamic)")
+    _size("mask", name, mask, resolution)
+    if mask.dtype == np.uint8:
+        return mask
+    if mask.dtype == bool:
+        return mask.astype(np.uint8) * np.uint8(255)
+    if mask.dtype.kind == "f":
+        if not (np.isfinite(mask).all() and mask.min() >= 0 and mask.max() <= 1):
+            raise InputError(f"mask of {name} has values outside 0..1 or NaN: a float mask is P(dynamic)")
+        return np.round(mask * 255).astype(np.uint8)
+    raise InputError(f"mask of {name} is {mask.dtype}: give uint8 (255 * P), bool, or float P(dynamic) in 0..1")
+
+
+def _size(what: str, name: str, array: np.ndarray, resolution: tuple[int, int]) -> None:
+    if array.shape[:2] != (resolution[1], resolution[0]):
+        raise InputError(
+            f"{what} of {name} is {array.shape[1]}x{array.shape[0]}, the rig says {resolution[0]}x{resolution[1]}: "
+            "use the calibration of this size, or resize"
+        )
+
+
+def rectified_frame(rectification: Rectification, images: list[np.ndarray], masks: list[np.ndarray]) -> Frame:
+    """Stage "rectify": all cameras' images and masks in the common orientation and intrinsics."""
+    views = [rectification.image(k, image) for k, image in enumerate(images)]
+    dynamic = np.stack([rectification.dynamic(k, mask) for k, mask in enumerate(masks)])
+    if views[0].ndim == 2:
+        grey = np.stack(views)
+        return Frame(grey[..., None], grey, dynamic)
+    colour = np.stack(views)
+    grey = np.stack([cv2.cvtColor(view, cv2.COLOR_BGR2GRAY) for view in views])
+    return Frame(colour, grey, dynamic)

@@ -1,0 +1,153 @@
+"""Every number a user may turn: one small frozen dataclass per stage, each field with its unit and range.
+
+    options = Options.preset("paper").updated({"disparity.beta": 0.01})
+
+`Options.flat()` is what run.json holds; `updated(flat)` brings it back.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from .errors import OptionsError
+
+
+def option(default: Any, unit: str, low: float | None, high: float | None, doc: str) -> Any:
+    """A dataclass field with the unit, inclusive range and meaning that messages and documentation show."""
+    return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """Base of the per-stage options: checks every field's type and range on construction."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            object.__setattr__(self, f.name, _checked(type(self).__name__, f, getattr(self, f.name)))
+
+
+def _checked(owner: str, f: dataclasses.Field, value: Any) -> Any:
+    kind = type(f.default)
+    name = f"{owner.removesuffix('Options').lower()}.{f.name}"
+    if kind is bool:
+        if isinstance(value, str) and value.lower() in ("true", "false", "1", "0", "yes", "no", "on", "off"):
+            value = value.lower() in ("true", "1", "yes", "on")
+        if not isinstance(value, bool):
+            raise OptionsError(f"option {name}: {value!r} is neither true nor false")
+        return value
+    try:
+        number = kind(value)
+        if kind is int and float(value) != number:
+            raise ValueError
+    except (TypeError, ValueError):
+        raise OptionsError(f"option {name}: {value!r} is not {'a whole number' if kind is int else 'a number'}") from None
+    low, high = f.metadata["low"], f.metadata["high"]
+    if not ((low is None or number >= low) and (high is None or number <= high)):  # also refuses NaN
+        raise OptionsError(f"option {name}: {number} is outside {low} .. {high} {f.metadata['unit']}".rstrip())
+    return number
+
+
+@dataclass(frozen=True)
+class RangeOptions(StageOptions):
+    """The disparities that are searched, px over the full array."""
+
+    min_disparity: float = option(0.0, "px", 0, 4096, "farthest surface searched for")
+    max_disparity: float = option(0.0, "px", 0, 4096, "nearest surface searched for; 0 = 0.45 x the image width")
+    step: float = option(0.5, "px", 0.125, 4, "spacing of the candidate disparities")
+
+
+@dataclass(frozen=True)
+class SupportOptions(StageOptions):
+    """Sparse sure matches (stage "support")."""
+
+    grid: int = option(5, "px", 1, 64, "spacing of the points that are tried")
+    texture: int = option(60, "grey levels", 0, 4096, "least sum of |gradient| over a descriptor")
+    uniqueness: float = option(0.85, "", 0, 1, "best cost / best cost elsewhere must be below this")
+    max_cost: float = option(14.0, "grey levels", 0, 255, "largest mean |difference| of matched gradients")
+    left_right: int = option(1, "px", 0, 16, "largest disagreement of the match back, px between the neighbours")
+    window: int = option(25, "px", 1, 512, "half width of the square in which points must agree")
+    similar: float = option(5.0, "px", 0, 64, "disparities closer than this agree")
+    min_agreeing: int = option(5, "points", 0, 1000, "points with fewer agreeing neighbours are dropped")
+
+
+@dataclass(frozen=True)
+class PriorOptions(StageOptions):
+    """Piecewise planar prior over the Delaunay triangulation (stage "prior")."""
+
+    gamma: float = option(0.05, "", 1e-9, 100, "uniform part of p(d|T,x)")
+    sigma: float = option(1.0, "px", 0.05, 64, "spread of the Gaussian part around the plane mean mu")
+    radius: float = option(3.0, "px", 0, 256, "candidates reach this far around mu")
+    neighbour_radius: float = option(0.5, "px", 0, 64, "and this far around every support point of the 3x3 cells")
+
+
+@dataclass(frozen=True)
+class DisparityOptions(StageOptions):
+    """M-step (stage "disparity")."""
+
+    beta: float = option(0.003, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
+    lone_variance: float = option(600.0, "grey level^2", 0, 1e6, "stands for the variance that 0 or 1 rays lack")
+
+
+@dataclass(frozen=True)
+class SegmentationOptions(StageOptions):
+    """Labels from the static prior, and the E-step (stage "segmentation")."""
+
+    threshold: float = option(0.7, "", 0, 1, "a ray starts as static where its prior P(static) is at least this")
+    beta: float = option(0.002, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
+    floor: float = option(0.02, "", 1e-6, 0.5, "the prior is never surer than this, so evidence can overrule it")
+    outlier_cost: float = option(0.0, "nats", 0, 100, "extra cost of calling a ray dynamic")
+    max_rounds: int = option(3, "rounds", 1, 20, "EM rounds at most; it stops when the labels stand still")
+
+
+@dataclass(frozen=True)
+class RefocusOptions(StageOptions):
+    """The picture (stage "refocus")."""
+
+    keep_reference: bool = option(True, "", None, None, "static reference pixels keep their own colour")
+    median: bool = option(True, "", None, None, "3x3 median over what was synthesised")
+
+
+@dataclass(frozen=True)
+class Options:
+    """All stages' options. Immutable; `updated` returns a changed copy."""
+
+    range: RangeOptions = RangeOptions()
+    support: SupportOptions = SupportOptions()
+    prior: PriorOptions = PriorOptions()
+    disparity: DisparityOptions = DisparityOptions()
+    segmentation: SegmentationOptions = SegmentationOptions()
+    refocus: RefocusOptions = RefocusOptions()
+
+    @staticmethod
+    def preset(name: str) -> Options:
+        """The named preset, one of PRESETS. Raises OptionsError for another name."""
+        if name not in PRESETS:
+            raise OptionsError(f"preset {name!r} is unknown: choose one of {', '.join(PRESETS)}")
+        return PRESETS[name]
+
+    def updated(self, flat: Mapping[str, Any]) -> Options:
+        """A copy with {"stage.field": value} applied; strings are converted. Raises OptionsError."""
+        changed: dict[str, dict[str, Any]] = {}
+        for key, value in flat.items():
+            stage, _, name = key.partition(".")
+            if name not in getattr(type(getattr(self, stage, None)), "__dataclass_fields__", {}):
+                raise OptionsError(f"option {key!r} does not exist: {_nearest(key, self.flat())}")
+            changed.setdefault(stage, {})[name] = value
+        stages = {stage: dataclasses.replace(getattr(self, stage), **new) for stage, new in changed.items()}
+        return dataclasses.replace(self, **stages)
+
+    def flat(self) -> dict[str, Any]:
+        """{"stage.field": value} of every option, in pipeline order."""
+        return {f"{stage}.{k}": v for stage, group in dataclasses.asdict(self).items() for k, v in group.items()}
+
+
+def _nearest(key: str, known: Mapping[str, Any]) -> str:
+    close = difflib.get_close_matches(key, known, n=3, cutoff=0.4)
+    return f"did you mean {' or '.join(close)}?" if close else f"options are {', '.join(known)}"
+
+
+PRESETS: dict[str, Options] = {"paper": Options()}

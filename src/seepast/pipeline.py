@@ -1,0 +1,168 @@
+"""The method on one screen: `see_past` calls one function per stage, in order, of whichever backend was chosen.
+
+`Reconstructor` prepares what does not change from frame to frame (rectification maps, tables) and checks input;
+`reconstruct` is the one-call form.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import ModuleType
+
+import numpy as np
+
+from . import backends
+from .candidates import DisparityGrid
+from .frames import Frame, check_frame, rectified_frame
+from .geometry import ArrayGeometry
+from .options import Options
+from .rectify import rectify
+from .result import Result
+from .rig import Rig
+
+STAGES = ("rectify", "describe", "support", "prior", "disparity", "segmentation", "refocus", "masks")
+
+
+def see_past(
+    frame: Frame, geometry: ArrayGeometry, options: Options, backend: ModuleType, dynamic_only: bool, clock: Clock
+) -> tuple[dict[str, np.ndarray], int]:
+    """One instant of rectified views -> static scene, labels and refined masks (all in rectified pixels).
+
+    Symbols: x reference pixel, d disparity, S^k static label of ray k, mu(x) the prior's plane mean.
+    """
+    grid = DisparityGrid.of(options.range, geometry.size[0])
+    # S^k of every camera's own pixels, at first by thresholding the static prior S_P = 1 - P(dynamic)
+    static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
+
+    with clock("describe"):  # f(x): 3x3 Sobel responses, sampled 16 times around the pixel
+        gradients = backend.describe(frame.grey)
+    with clock("support"):  # sparse sure matches on static pixels, of all cameras, in the reference view
+        points = backend.support(gradients, static, geometry, grid, options.support)
+    with clock("prior"):  # p(d|T,x) ~ gamma + exp(-(d - mu)^2 / 2 sigma^2), mu on the Delaunay planes
+        prior = backend.prior(points, static.shape[1:], grid, options.prior)
+
+    dynamic = frame.dynamic
+    for round_ in range(1, options.segmentation.max_rounds + 1):
+        keep = static[geometry.reference]  # the reference sees these itself
+        wanted = ~keep if dynamic_only else np.ones_like(keep)
+        with clock("disparity"):  # M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d|T,x)
+            d = backend.disparity(gradients, static, geometry, prior, grid, wanted, options)
+        with clock("segmentation"):  # E-step: argmin_S beta Var_S - sum_k log p(S^k|S_P^k)
+            labels, posterior = backend.segmentation(gradients, frame.dynamic, geometry, d, wanted, options)
+        with clock("masks"):  # labels of (reference pixel, camera) pairs -> each camera's own pixels
+            dynamic, refined = backend.masks(labels, posterior, geometry, d, wanted, frame.dynamic, static)
+        still = np.array_equal(refined, static)
+        static = refined
+        if still:
+            break
+
+    if dynamic_only:  # the rest was not estimated: its own ray, and no disparity
+        labels = np.where(keep, np.uint16(1 << geometry.reference), labels)
+        d = np.where(keep, np.float32(0), d)
+    with clock("refocus"):  # I* = sum_k S^k I_k(x^k) / sum_k S^k, 3x3 median
+        kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
+        background, coverage = backend.refocus(frame.colour, labels, geometry, d, kept, options.refocus)
+    return {
+        "background": background, "disparity": d, "coverage": coverage, "labels": labels, "dynamic": dynamic
+    }, round_  # fmt: skip
+
+
+class Clock:
+    """Milliseconds per stage, added up over the rounds."""
+
+    def __init__(self) -> None:
+        self.milliseconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.milliseconds[stage] += 1e3 * (time.perf_counter() - start)
+
+
+class Reconstructor:
+    """Recovers the static scene frame by frame; keeps what frames share.
+
+    rig           the calibrated array (2 .. 16 cameras)
+    options       Options, default Options.preset("paper")
+    reference     camera whose view is reconstructed, by number or name
+    backend       "auto", "cpu" or "reference"
+    dynamic_only  estimate only pixels that a person hides from the reference; faster. Disparity and depth are
+                  then 0 (unknown) and coverage 1 (the reference's own ray) everywhere else
+    threads       of the cpu backend; 0 = all cores. The result does not depend on it
+
+    Raises RigError, OptionsError, BackendError. Calling it: see `__call__`.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        *,
+        options: Options | None = None,
+        reference: int | str = 0,
+        backend: str = "auto",
+        dynamic_only: bool = False,
+        threads: int = 0,
+    ):
+        self.rig = rig
+        self.options = options or Options.preset("paper")
+        self.reference = rig.index(reference)
+        self.rectification = rectify(rig, self.reference)
+        self.backend = backends.get(backend)
+        self.dynamic_only = dynamic_only
+        self.threads = threads
+        DisparityGrid.of(self.options.range, self.rectification.geometry.size[0])  # an empty range fails here
+
+    def __call__(self, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None) -> Result:
+        """One instant: K images uint8 [h, w] or [h, w, 3] BGR; K masks uint8 255 * P(dynamic), bool, or 0..1 floats.
+
+        masks None: nothing is dynamic. Raises InputError.
+        """
+        clock = Clock()
+        backends.set_threads(self.backend, self.threads)
+        images, masks = check_frame(self.rig, images, masks)
+        with clock("rectify"):
+            frame = rectified_frame(self.rectification, images, masks)
+        geometry = self.rectification.geometry
+        found, rounds = see_past(frame, geometry, self.options, self.backend, self.dynamic_only, clock)
+        with clock("rectify"):
+            refined = tuple(
+                self.rectification.masks_to_input(k, to_bytes(found["dynamic"][k]), masks[k])
+                for k in range(geometry.cameras)
+            )
+        background = found["background"]
+        return Result(
+            background=background if images[0].ndim == 3 else background[..., 0],
+            disparity=found["disparity"],
+            depth=geometry.depth(found["disparity"]),
+            coverage=found["coverage"],
+            labels=found["labels"],
+            masks=refined,
+            geometry=geometry,
+            timings=clock.milliseconds,
+            rounds=rounds,
+            options=self.options,
+            backend=self.backend.__name__.rpartition(".")[2],
+        )
+
+
+def to_bytes(dynamic: np.ndarray) -> np.ndarray:
+    """254ths of P(dynamic) -> 255ths; pixels without a ray (255) count as dynamic."""
+    return dynamic + (dynamic >= 128) - (dynamic == 255)
+
+
+def reconstruct(
+    images: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray] | None,
+    rig: Rig,
+    *,
+    options: Options | None = None,
+    reference: int | str = 0,
+    backend: str = "auto",
+    dynamic_only: bool = False,
+) -> Result:
+    """See past the people in one instant of a camera array. Arguments and errors: `Reconstructor`."""
+    run = Reconstructor(rig, options=options, reference=reference, backend=backend, dynamic_only=dynamic_only)
+    return run(images, masks)
