@@ -105,7 +105,8 @@ class Rectification:
         """A refined mask, uint8 [H, W] of 255 * P(dynamic), in `camera`'s own pixels, uint8 [h, w].
 
         Sampled bilinearly; pixels which the rectified view does not reach keep the input mask's value (0 if
-        it is None). The rectified mask itself where the map is None.
+        it is None); what the rectified mask holds where `dynamic` says NO_RAY is never used. The rectified
+        mask itself where the map is None.
         """
         if self.maps[camera] is None:
             return rectified_mask
@@ -181,7 +182,8 @@ def _rectify(rig: Rig, reference: int) -> Rectification:
     sources = [_source(c, r, geometry) for c, r in zip(rig.cameras, rotations, strict=True)]
     maps = tuple(_masked_map(c, s) for c, s in zip(rig.cameras, sources, strict=True))
     fixed = tuple(
-        None if s is None else _fixed_point(c, s) for c, s in zip(rig.cameras, sources, strict=True)
+        None if s is None else _fixed_point(s, c.resolution)
+        for c, s in zip(rig.cameras, sources, strict=True)
     )
     no_ray = tuple(None if m is None else np.isnan(m[0]) * np.uint8(NO_RAY) for m in maps)
     error = _closed_loop_error(rig.cameras, rotations, geometry, sources)
@@ -196,7 +198,8 @@ def _orientation(rig: Rig, reference: int) -> np.ndarray:
     mean = axes.mean(axis=0)
     z = mean - (mean @ x) * x
     off = np.degrees(np.arccos(np.clip(axes @ x, -1, 1)))
-    if np.linalg.norm(z) < np.cos(np.radians(MAX_AXIS_DEG)) * np.linalg.norm(mean):
+    agreement, enough = np.linalg.norm(mean), np.cos(np.radians(MAX_AXIS_DEG))
+    if agreement > enough and np.linalg.norm(z) < enough * agreement:
         raise RigError(
             "the cameras are lined up along their viewing direction (the line through them is "
             f"{90 - abs(90 - off[reference]):.0f} degrees off {rig.cameras[reference].name}'s optical axis, "
@@ -321,7 +324,7 @@ def _fixed_point(source: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray,
 
 
 def _inside(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Where pixels (..., 2) lie on the image: up to half a pixel beyond the outermost centres, False for NaN."""
+    """Where pixels (..., 2) lie on the image: half a pixel beyond the outer centres does, NaN does not."""
     return np.all((pixels >= -0.5) & (pixels <= np.array(size) - 0.5), axis=-1)
 
 
@@ -333,7 +336,12 @@ def _inverse_map(rectification: Rectification, camera: int) -> tuple[np.ndarray,
     rays = own.unproject(pixels) @ rectification.rotation_from_cam[camera].T
     ahead = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
     target = rays[..., :2] / ahead * np.array(geometry.focal) + np.array(geometry.center)
-    return *_fixed_point(target, geometry.size), _inside(target, geometry.size)
+    whole, fraction = _fixed_point(target, geometry.size)
+    reached = _inside(target, geometry.size)
+    no_ray = rectification._no_ray[camera]
+    if no_ray is not None:  # what a refined mask holds there means nothing and must not bleed in
+        reached &= cv2.remap(no_ray, whole, fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) == 0
+    return whole, fraction, reached
 
 
 def _sample_grid(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
