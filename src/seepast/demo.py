@@ -10,7 +10,6 @@ import numpy as np
 
 from .datasets import open_dataset
 from .datasets.png import read_png8
-from .evaluate import read_truth
 from .export.atomic import write_png
 from .options import Options
 from .sequence import Settings, Summary, process
@@ -51,23 +50,24 @@ def run_demo(out: str | Path, backend: str = "auto") -> Demo:
     before, mask = frame.images[0], frame.masks[0]
     after = read_png8(out / "sample" / "background" / f"{stamp}.png")
     coverage = read_png8(out / "sample" / "coverage" / f"{stamp}.png")
-    truth = read_truth(SAMPLE, stamp)
+    truth = read_png8(SAMPLE / "truth" / "background" / f"{stamp}.png")
+    hidden = read_png8(SAMPLE / "truth" / "hidden" / f"{stamp}.png") > 127
     pfm = str(out / "sample" / "disparity" / f"{stamp}.pfm")
     disparity = np.asarray(cv2.imread(pfm, cv2.IMREAD_UNCHANGED), np.float32)
     panels = {
         "before: what cam0 sees": before,
         "the static scene, from one instant": after,
-        "truth": truth.background,
+        "truth": truth,
         "what the masks call dynamic": _tinted(before, mask > 127),
         "disparity of the static scene": paint_disparity(disparity),
         "coverage: cameras per pixel, red = none": paint_coverage(coverage, len(dataset.rig.cameras)),
     }
     write_png(out / PICTURE, contact_sheet(panels, columns=3))
-    seen = truth.hidden & (coverage > 0)
-    error = np.mean((after[seen].astype(float) - truth.background[seen]) ** 2) if seen.any() else np.inf
+    seen = hidden & (coverage > 0)
+    error = np.mean((after[seen].astype(float) - truth[seen]) ** 2) if seen.any() else np.inf
     psnr = float(10 * np.log10(255**2 / max(error, 1e-9)))
-    seen_share = float(seen.sum() / max(truth.hidden.sum(), 1))
-    return Demo(out / PICTURE, summary, float(truth.hidden.mean()), seen_share, psnr)
+    seen_share = float(seen.sum() / max(hidden.sum(), 1))
+    return Demo(out / PICTURE, summary, float(hidden.mean()), seen_share, psnr)
 
 
 def contact_sheet(panels: dict[str, np.ndarray], columns: int) -> np.ndarray:

@@ -1,0 +1,52 @@
+# make demo    see past the people of a small sample; prints the path of the picture
+# make test    the tests
+# make bench   the speed of every stage on this machine
+# make lint    style and types
+#
+# Each sets up what it needs in .venv: it asks for Python >= 3.10 and a C++ compiler, nothing else.
+
+VENV   := .venv
+PY     := $(VENV)/bin/python
+CORE   := $(VENV)/.core-installed
+BUILD  := pyproject.toml CMakeLists.txt $(wildcard cpp/*.cpp cpp/*.h)
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python3.10; do \
+  $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && { echo $$p; break; }; done)
+PIP    := $(PY) -m pip --quiet --disable-pip-version-check install
+
+.PHONY: demo test bench lint
+.DELETE_ON_ERROR:
+
+demo: $(CORE)
+	@$(VENV)/bin/seepast demo --out demo-out
+
+test: $(VENV)/.test-installed
+	@$(PY) -m pytest
+
+bench: $(VENV)/.test-installed
+	@$(PY) benchmarks/speed.py
+
+lint: $(VENV)/.dev-installed
+	$(VENV)/bin/ruff check src tests benchmarks
+	$(VENV)/bin/ruff format --check src tests benchmarks
+	$(VENV)/bin/mypy src/seepast
+	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h
+
+$(PY):
+	@test -n "$(PYTHON)" || { echo "make: no Python >= 3.10 found; install one, or say make PYTHON=/path/to/python3"; exit 1; }
+	@command -v c++ g++ clang++ >/dev/null || { echo "make: no C++ compiler found; install g++ or clang++"; exit 1; }
+	@echo "making $(VENV) with $(PYTHON)"
+	@$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "make: $(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+
+# Without build isolation the compiled objects are kept, and only what changed is compiled again.
+$(CORE): $(BUILD) | $(PY)
+	@echo "building seepast in $(VENV)"
+	@$(PIP) "scikit-build-core>=0.10" "nanobind>=2.4" "cmake>=3.18" ninja
+	@$(PIP) --no-build-isolation --editable .
+	@touch $@
+
+# The package is there already: this adds what its extra "test" or "dev" asks for.
+$(VENV)/.%-installed: $(CORE)
+	@echo "installing what seepast[$*] asks for"
+	@$(PIP) "seepast[$*]"
+	@touch $@
