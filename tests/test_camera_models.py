@@ -115,6 +115,10 @@ def test_a_folding_polynomial_ends_where_it_turns():
     reach = 500 * turn * (1 - 0.3 * turn**2)
     assert np.isfinite(unproject(*camera, np.array([320 + reach - 1, 240]))).all()
     assert np.isnan(unproject(*camera, np.array([320 + reach + 1, 240]))).all()
+    sixth = ("pinhole", "radtan", (500.0, 500.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0, -0.1))
+    turn = (1 / 0.7) ** (1 / 6)
+    assert np.isfinite(project(*sixth, np.array([turn * 0.99, 0, 1]))).all()
+    assert np.isnan(project(*sixth, np.array([turn * 1.01, 0, 1]))).all()
     wild = ("pinhole", "equidistant", (500.0, 500.0, 320.0, 240.0), (-0.5, 0.0, 0.0, 0.0))
     assert np.isnan(project(*wild, np.array([np.tan(0.9), 0, 1]))).all()  # turns at theta = 0.816
     assert np.isnan(unproject(*wild, np.array([320 + 500 * 0.6, 240]))).all()

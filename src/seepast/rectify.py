@@ -213,9 +213,7 @@ def _orientation(rig: Rig, reference: int) -> np.ndarray:
             f"the cameras do not see the same way: degrees off the common viewing direction are {listed}, "
             f"at most {MAX_AXIS_DEG:g} are allowed; use only cameras which look in one direction"
         )
-    rectified_from_rig = np.stack([x, np.cross(z, x), z])
-    own = rig.cameras[reference].rotation
-    return own if _angle(rectified_from_rig @ own.T) < SAME_ROTATION else rectified_from_rig
+    return np.stack([x, np.cross(z, x), z])
 
 
 def _line(rig: Rig, reference: int) -> np.ndarray:
@@ -237,13 +235,9 @@ def _line(rig: Rig, reference: int) -> np.ndarray:
     return -x if x @ (down if upright else right) < 0 else x
 
 
-def _angle(rotation: np.ndarray) -> float:
-    """Radians, accurate near zero."""
-    return float(np.linalg.norm(rotation - rotation.T) / np.sqrt(8)) if np.trace(rotation) > 1 else np.pi
-
-
 def _snapped(rotation: np.ndarray) -> np.ndarray:
-    return np.eye(3) if _angle(rotation) < SAME_ROTATION else rotation
+    """Exactly the identity where the rotation is one but for rounding."""
+    return np.eye(3) if np.linalg.norm(rotation - np.eye(3)) < SAME_ROTATION else rotation
 
 
 Intrinsics = tuple[tuple[float, float], tuple[float, float], tuple[int, int]]
