@@ -235,11 +235,23 @@ def test_keyboard_interrupt_is_130_and_keeps_whole_frames(
     assert json.loads((tmp_path / "out" / "run.json").read_text())["frames"] == 2
 
 
+def test_check_reads_everything_and_measures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rec = write_recording(tmp_path / "rec", stamps=("a", "b"))
+    assert seepast("check", rec) == 0
+    first, view, rows = capsys.readouterr().out.splitlines()
+    assert first == "rec: 3 cameras, 2 frames, 5.6 % dynamic"
+    assert view.startswith("view: 48x36, f 48.0 px, baseline 0.200 m: 5 m away is 1.9 px")
+    assert rows.startswith("rows: ")
+    (rec / "masks" / "cam2" / "b.png").write_bytes(b"")
+    assert seepast("check", rec) == 2
+    assert "masks/cam2/b.png" in capsys.readouterr().err
+
+
 def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
     assert text.index("seepast run recording") < text.index("Commands"), "examples come first"
-    for command in ("run", "refocus", "synth", "evaluate", "demo"):
+    for command in ("run", "check", "refocus", "synth", "evaluate", "demo"):
         assert re.search(rf"│ {command} ", text), command
         assert cli.main([command, "--help"]) == 0
     for code in (cli.EXIT_ERROR, cli.EXIT_INTERRUPTED, cli.EXIT_TERMINATED):

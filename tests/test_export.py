@@ -97,11 +97,13 @@ def test_depth_in_millimetres_knows_its_limits() -> None:
 
 
 def test_camera_yaml_describes_the_reference_view(tmp_path: Path) -> None:
-    with FolderWriter(tmp_path, RUN, CAMERAS) as writer:
+    rotation = cv2.Rodrigues(np.array([0.1, 0.02, -0.03]))[0]
+    with FolderWriter(tmp_path, RUN, CAMERAS, rotation=rotation) as writer:
         writer.write("0", result(), 1.0)
     camera = yaml.safe_load((tmp_path / "camera.yaml").read_text())
     assert camera["camera"] == "cam1" and camera["cameras"] == list(CAMERAS)
     assert camera["intrinsics"] == [50, 50, 23.5, 17] and camera["resolution"] == [48, 35]
+    np.testing.assert_array_equal(camera["rectified_from_cam"], rotation)
     assert camera["baseline"] == pytest.approx(0.2) and camera["focal_baseline"] == pytest.approx(10)
 
 

@@ -14,6 +14,7 @@ from .datasets import NO_MASKS, Dataset
 from .export import FolderWriter, Run
 from .options import Options
 from .pipeline import Reconstructor
+from .rectify import rectify
 from .rig import Rig
 
 
@@ -69,7 +70,8 @@ def process(
     )
     computed = 0
     names = [camera.name for camera in dataset.rig.cameras]
-    with FolderWriter(out, run, names, overwrite=settings.overwrite) as writer:
+    rotation = rectify(dataset.rig, reference).rotation_from_cam[reference]
+    with FolderWriter(out, run, names, rotation=rotation, overwrite=settings.overwrite) as writer:
         for stamp in dataset.stamps:
             if not writer.done(stamp):
                 frame = dataset.frame(stamp)

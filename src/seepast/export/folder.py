@@ -58,6 +58,7 @@ class FolderWriter:
 
     run      what is about to run; a folder of another run is refused unless `overwrite`
     cameras  names of the K cameras, in the order of Result.masks
+    rotation float64[3, 3] rectified_from_cam of the reference camera, for camera.yaml
 
         with FolderWriter(out, run, cameras) as writer:
             if not writer.done(stamp):
@@ -66,9 +67,18 @@ class FolderWriter:
     Raises OutputError where `out` cannot be written, is not a folder, or holds anything but an equal run.
     """
 
-    def __init__(self, out: str | Path, run: Run, cameras: Sequence[str], *, overwrite: bool = False):
+    def __init__(
+        self,
+        out: str | Path,
+        run: Run,
+        cameras: Sequence[str],
+        *,
+        rotation: np.ndarray | None = None,
+        overwrite: bool = False,
+    ):
         self.out = Path(out)
         self.cameras = tuple(cameras)
+        self._rotation = rotation
         self._run = json.loads(json.dumps(asdict(run)))
         self._milliseconds: list[Mapping[str, float]] = []
         self._covered: list[float] = []
@@ -154,7 +164,9 @@ class FolderWriter:
         )
 
     def _write_camera(self, geometry: ArrayGeometry) -> None:
-        atomic.write_bytes(self.out / CAMERA_FILE, camera_yaml(geometry, self.cameras).encode())
+        atomic.write_bytes(
+            self.out / CAMERA_FILE, camera_yaml(geometry, self.cameras, self._rotation).encode()
+        )
 
 
 def depth_millimetres(depth: np.ndarray) -> np.ndarray:
@@ -163,9 +175,12 @@ def depth_millimetres(depth: np.ndarray) -> np.ndarray:
     return np.where((millimetres > 0) & (millimetres <= MAX_DEPTH_MM), millimetres, 0).astype(np.uint16)
 
 
-def camera_yaml(geometry: ArrayGeometry, cameras: Sequence[str]) -> str:
-    """The view that all outputs live in: Kalibr's names for its intrinsics, metres and px for the array."""
-    camera = {
+def camera_yaml(geometry: ArrayGeometry, cameras: Sequence[str], rotation: np.ndarray | None = None) -> str:
+    """The view that all outputs live in: Kalibr's names for its intrinsics, metres and px for the array.
+
+    rotation: float64[3, 3] rectified_from_cam of the reference camera; None says nothing about it.
+    """
+    camera: dict[str, Any] = {
         "camera": cameras[geometry.reference],
         "camera_model": "pinhole",
         "distortion_model": "none",
@@ -180,6 +195,11 @@ def camera_yaml(geometry: ArrayGeometry, cameras: Sequence[str]) -> str:
         "# The rectified reference view: intrinsics fx fy cx cy, resolution in px, pixel centres integer.\n"
         "# depth [m] = focal_baseline [px m] / disparity [px]; baseline, positions in metres.\n"
     )
+    if rotation is not None:
+        camera["rectified_from_cam"] = np.asarray(rotation, np.float64).tolist()
+        comment += (
+            "# rectified_from_cam: directions of the camera as calibrated -> directions of this view.\n"
+        )
     return comment + yaml.safe_dump(camera, sort_keys=False, default_flow_style=None)
 
 
