@@ -32,7 +32,7 @@ class Report:
 def check(
     dataset: Dataset, reference: int | str = 0, *, on_frame: Callable[[], None] = lambda: None
 ) -> Report:
-    """Read all of `dataset` and measure. Raises DatasetError or RigError for the first thing that is wrong."""
+    """Read all of `dataset` and measure. Raises DatasetError or RigError for the first thing wrong."""
     rectification = rectify(dataset.rig, dataset.rig.index(reference))
     row_error = float("nan")
     shares = []

@@ -161,7 +161,7 @@ def check(dataset: Path, /, *, masks: Masks = None, reference: str = "cam0") -> 
         f"{geometry.baseline:.3f} m: 5 m away is {geometry.focal_baseline / 5:.1f} px of disparity"
     )
     print(
-        f"rows: {report.row_error_px:.2f} px off, by matches in {recording.stamps[0]}; good below {GOOD_ROWS_PX}"
+        f"rows: {report.row_error_px:.2f} px off in {recording.stamps[0]}; good below {GOOD_ROWS_PX}"
     )
     return 0
 
