@@ -92,7 +92,7 @@ def paint_disparity(disparity: np.ndarray) -> np.ndarray:
 
 def paint_coverage(coverage: np.ndarray, cameras: int) -> np.ndarray:
     """uint8 [H, W, 3]: the lighter, the more cameras; red where none saw the pixel."""
-    grey = (60 + 195 * np.minimum(coverage, cameras) / cameras).astype(np.uint8)
+    grey = (60 + 195 * (np.minimum(coverage, cameras) / cameras)).astype(np.uint8)
     painted = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
     painted[coverage == 0] = _UNSEEN
     return painted
