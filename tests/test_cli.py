@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -204,6 +205,22 @@ def test_warnings_are_one_line_each(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert seepast("run", rec, "--out", tmp_path / "out") == 0
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("seepast: warning: ") and "1 of 2" in line
+
+
+def test_a_recording_without_anything_static_draws_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    really = FakeReconstructor.__call__
+
+    def see_nothing(self: FakeReconstructor, *arguments: Any) -> Result:
+        result = really(self, *arguments)
+        return replace(result, coverage=np.zeros_like(result.coverage))
+
+    monkeypatch.setattr(FakeReconstructor, "__call__", see_nothing)
+    assert seepast("run", write_recording(tmp_path / "rec", stamps="ab"), "--out", tmp_path / "out") == 0
+    printed = capsys.readouterr()
+    assert "coverage 0.0 %" in printed.out
+    assert printed.err.startswith("seepast: warning: ") and "2 frames" in printed.err and "255" in printed.err
 
 
 def test_whatever_the_method_refuses_is_told_the_same_way(

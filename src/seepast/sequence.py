@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -16,6 +17,8 @@ from .options import Options
 from .pipeline import Reconstructor
 from .rectify import rectify
 from .rig import Rig
+
+log = logging.getLogger("seepast")
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,7 @@ def process(
         dynamic_only=settings.dynamic_only,
         threads=settings.threads,
     )
-    computed = 0
+    computed, blind = 0, []
     names = [camera.name for camera in dataset.rig.cameras]
     rotation = rectify(dataset.rig, reference).rotation_from_cam[reference]
     with FolderWriter(out, run, names, rotation=rotation, overwrite=settings.overwrite) as writer:
@@ -79,7 +82,14 @@ def process(
                 result = reconstructor(frame.images, frame.masks)
                 writer.write(stamp, result, 1e3 * (time.perf_counter() - start))
                 computed += 1
+                if not result.coverage.any():
+                    blind.append(stamp)
             on_frame()
+    if blind:
+        log.warning(
+            "%s: no camera sees anything static in %d frames (%s first); do the masks say 255 for static?",
+            dataset.path, len(blind), blind[0],
+        )  # fmt: skip
     figures = writer.summary()
     return Summary(
         dataset.name,
