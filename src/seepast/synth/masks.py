@@ -34,9 +34,10 @@ def imperfect(
 def _good(parts: np.ndarray, objects, px: float, seeds) -> np.ndarray:
     rng = np.random.default_rng([*seeds, 1])
     shape = parts.shape
-    edge = _inside(parts >= PERSON) + 1.6 * px * _smooth_noise(rng, shape, 5 * px) - 0.8 * px
+    off = rng.uniform(-2.5, 2.5) + 1.8 * _smooth_noise(rng, shape, 5 * px)
+    edge = _inside(parts >= PERSON) + px * off
     sure = _sigmoid(edge / (0.9 * px))
-    return 0.98 * sure - 0.04 * np.abs(_smooth_noise(rng, shape, 6 * px)) * (2 * sure - 1)
+    return 0.98 * sure - 0.04 * np.maximum(_smooth_noise(rng, shape, 6 * px), 0) * (2 * sure - 1)
 
 
 def _network(parts: np.ndarray, objects, px: float, seeds) -> np.ndarray:
@@ -47,10 +48,10 @@ def _network(parts: np.ndarray, objects, px: float, seeds) -> np.ndarray:
     for thing in always.choice(objects, min(2, len(objects)), replace=False) if objects else ():
         likeness = always.uniform(0.25, 0.8) + 0.1 * now.normal()
         person = np.maximum(person, likeness * (parts == thing))
-    step = max(4 * px, 1)
+    step = max(6 * px, 1)
     small = (max(int(parts.shape[1] / step), 2), max(int(parts.shape[0] / step), 2))
     coarse = cv2.resize(person, small, interpolation=cv2.INTER_AREA)
-    coarse = cv2.GaussianBlur(coarse, (0, 0), 0.7) + 0.08 * _smooth_noise(rng, coarse.shape, 2.5)
+    coarse = cv2.GaussianBlur(coarse, (0, 0), 0.8) + 0.08 * _smooth_noise(rng, coarse.shape, 2.5)
     smooth = cv2.resize(coarse, parts.shape[::-1], interpolation=cv2.INTER_CUBIC)
     return _sigmoid((smooth - 0.5 - 0.06 * rng.normal()) * 9)
 
@@ -67,7 +68,7 @@ def _poor(parts: np.ndarray, objects, px: float, seeds) -> np.ndarray:
     for _ in range(int(rng.integers(1, 5))):
         x, y = rng.uniform(0, shape[1]), rng.uniform(0, shape[0])
         belief = np.maximum(belief, rng.uniform(0.6, 1) * _disc(shape, x, y, rng.uniform(6, 16) * px))
-    return belief + (0.15 - 0.3 * belief) * np.abs(_smooth_noise(rng, shape, 6 * px))
+    return belief + (0.15 - 0.3 * belief) * np.maximum(_smooth_noise(rng, shape, 6 * px), 0)
 
 
 def _drawn_limbs(rng: np.random.Generator, parts: np.ndarray, chance: float) -> list[int]:

@@ -28,7 +28,7 @@ from ..geometry import ArrayGeometry
 from ..rectify import rectify
 from ..rig import Rig
 from . import masks as segmenters
-from .render import is_person
+from .render import embree, is_person
 from .room import build_scene
 from .views import INTERVAL, Frame, Recorder
 
@@ -108,6 +108,7 @@ def generate(
     not at all. Raises OutputError where `out` holds something or cannot be written, InputError for arguments
     out of range, RigError, and MissingExtraError without embreex.
     """
+    embree()
     rig = rig if isinstance(rig, Rig) else Rig.from_kalibr(rig)
     _check(frames, seed, masks, figures, noise, gain, samples)
     index = rig.index(reference)

@@ -36,7 +36,7 @@ class Caster:
     """A mesh ready to be hit by rays. Raises MissingExtraError without the package embreex."""
 
     def __init__(self, mesh: Mesh):
-        scene_module, triangle_mesh = _embree()
+        scene_module, triangle_mesh = embree()
         self.mesh = mesh
         self._part_or_miss = np.append(mesh.part, MISS).astype(np.int32)
         self._scene = scene_module.EmbreeScene()
@@ -56,7 +56,8 @@ class Caster:
         return self._part_or_miss[hits.face]  # face -1 is the last entry
 
 
-def _embree() -> tuple[Any, Any]:
+def embree() -> tuple[Any, Any]:
+    """The two modules of embreex that are needed; raises MissingExtraError without them."""
     try:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
