@@ -44,12 +44,12 @@ def wardrobe(rng: np.random.Generator, size: int = 256, texel: float = 0.002) ->
     """Five textures of one figure: shirt, trousers, skin, hair, shoes; texel in metres."""
     shirt = rng.uniform(50, 200, 3)
     skin = np.array([120, 150, 200]) * rng.uniform(0.5, 1.1)
+    hair = np.array([0.6, 0.8, 1.0]) * rng.uniform(20, 80)
     pictures = (
         textures.cloth(rng, size, shirt, str(rng.choice(["plain", "stripes", "checks"]))),
         textures.cloth(rng, size, rng.uniform(25, 110) * np.array([1.2, 1.0, 0.9]), "plain"),
         textures.plain(rng, size, skin) + 3 * textures.fractal(rng, size, 0.8)[..., None],
-        textures.plain(rng, size, rng.uniform(15, 70, 3))
-        + 10 * textures.fractal(rng, size, 0.7, 6)[..., None],
+        textures.plain(rng, size, hair) + 8 * textures.fractal(rng, size, 0.7, 6)[..., None],
         textures.rough(rng, size, rng.uniform(20, 60, 3)) * 0.7,
     )
     return [texture(picture, texel) for picture in pictures]
