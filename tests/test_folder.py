@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
+import zlib
 from pathlib import Path
 
 import cv2
@@ -157,7 +158,7 @@ def test_truncated_png(recording: Path, keep: float) -> None:
 def test_png_cut_exactly_before_its_end_marker(recording: Path) -> None:
     path = recording / "cam1" / "000000.png"
     path.write_bytes(path.read_bytes()[:-12])
-    refused(recording, "cam1/000000.png", "truncated")
+    refused(recording, "cam1/000000.png", "truncated PNG")
 
 
 def test_damaged_png(recording: Path) -> None:
@@ -165,7 +166,7 @@ def test_damaged_png(recording: Path) -> None:
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 0xFF
     path.write_bytes(bytes(data))
-    refused(recording, "cam1/000000.png", "damaged")
+    refused(recording, "cam1/000000.png", "wrong checksum")
 
 
 def test_file_that_is_no_png(recording: Path) -> None:
@@ -180,7 +181,20 @@ def test_16_bit_image(recording: Path) -> None:
 
 def test_alpha_image(recording: Path) -> None:
     save(recording / "cam0" / "000000.png", np.zeros((HEIGHT, WIDTH, 4), np.uint8))
-    refused(recording, "cam0/000000.png", "alpha")
+    refused(recording, "cam0/000000.png", "alpha channel")
+
+
+def test_grey_image_with_alpha(recording: Path) -> None:
+    header = WIDTH.to_bytes(4, "big") + HEIGHT.to_bytes(4, "big") + bytes([8, 4, 0, 0, 0])
+    rows = zlib.compress(bytes(HEIGHT * (1 + 2 * WIDTH)))
+    data = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    (recording / "cam0" / "000000.png").write_bytes(data)
+    refused(recording, "cam0/000000.png", "alpha channel")
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = zlib.crc32(kind + content)
+    return len(content).to_bytes(4, "big") + kind + content + checksum.to_bytes(4, "big")
 
 
 def test_grey_and_color_mixed(recording: Path) -> None:

@@ -7,7 +7,6 @@ chunks are checked first (PNG specification, section 5: lengths, CRCs and the cl
 from __future__ import annotations
 
 import zlib
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -16,13 +15,6 @@ import numpy as np
 from ..errors import DatasetError
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_ALPHA_TYPES = (4, 6)  # grey + alpha, RGB + alpha
-
-
-@dataclass(frozen=True)
-class PngHeader:
-    bit_depth: int
-    color_type: int
 
 
 def read_png8(path: Path) -> np.ndarray:
@@ -34,31 +26,25 @@ def read_png8(path: Path) -> np.ndarray:
         data = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error}); restore the file") from None
-    header = _header_of_whole_file(path, data)
-    if header.bit_depth > 8:
+    bit_depth = _bit_depth_of_whole_file(path, data)
+    if bit_depth > 8:
         raise DatasetError(
-            f"{path}: {header.bit_depth} bits per channel; convert it to 8 bits (scaled, not cut off) first"
+            f"{path}: {bit_depth} bits per channel; convert it to 8 bits (scaled, not cut off) first"
         )
-    if header.color_type in _ALPHA_TYPES:
-        raise _alpha(path)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint8:
         raise DatasetError(f"{path}: cannot be decoded as an 8-bit PNG; copy or export it again")
     if image.ndim == 3 and image.shape[2] not in (1, 3):
-        raise _alpha(path)
+        raise DatasetError(f"{path}: has an alpha channel; save it as plain grey or BGR without transparency")
     return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
 
 
-def _alpha(path: Path) -> DatasetError:
-    return DatasetError(f"{path}: has an alpha channel; save it as plain grey or BGR without transparency")
-
-
-def _header_of_whole_file(path: Path, data: bytes) -> PngHeader:
-    """The IHDR of a PNG whose critical chunks are all there and undamaged."""
+def _bit_depth_of_whole_file(path: Path, data: bytes) -> int:
+    """Bits per channel of a PNG whose critical chunks are all there and undamaged."""
     if not data.startswith(_SIGNATURE):
         what = "the file is empty" if not data else "not a PNG file"
         raise DatasetError(f"{path}: {what}; images and masks must be 8-bit PNG")
-    header, at = None, len(_SIGNATURE)
+    bit_depth, at = 0, len(_SIGNATURE)
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")
         kind, end = data[at + 4 : at + 8], at + 12 + length
@@ -68,8 +54,8 @@ def _header_of_whole_file(path: Path, data: bytes) -> PngHeader:
         if kind[:1].isupper() and zlib.crc32(memoryview(data)[at + 4 : end - 4]) != checksum:  # critical
             raise DatasetError(f"{path}: damaged PNG (wrong checksum); copy it again")
         if kind == b"IHDR":
-            header = PngHeader(bit_depth=data[at + 16], color_type=data[at + 17])
-        if kind == b"IEND" and header is not None:
-            return header
+            bit_depth = data[at + 16]
+        if kind == b"IEND" and bit_depth:
+            return bit_depth
         at = end
     raise DatasetError(f"{path}: truncated PNG ({len(data)} bytes, no end marker); copy or record it again")
