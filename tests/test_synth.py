@@ -232,6 +232,26 @@ def test_frames_move_and_are_laid_out_as_a_dataset(tmp_path):
     assert np.allclose(again.centers, straight(2).centers)
 
 
+def test_a_lens_that_fills_only_part_of_its_image(tmp_path):
+    """A double-sphere fisheye of 120 degrees and more: black and unmasked where it sends no ray."""
+    made = []
+    for k in range(2):
+        pose = np.eye(4)
+        pose[0, 3] = -0.3 * k
+        made.append(Camera(f"cam{k}", "ds", "none", (-0.2, 0.59, 20.0, 20.0, 47.5, 35.5), (), SIZE, pose))
+    rig = Rig(tuple(made))
+    folder = recording(
+        tmp_path / "made", rig, figure_depth=(1.0, 2.0), background_depth=(2.0, 5.0), figures=3
+    )
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
+    reached = np.isfinite(rig.cameras[0].unproject(np.stack([x, y], -1).astype(float))).all(-1)
+    blank = cv2.erode((~reached).astype(np.uint8), np.ones((3, 3))) > 0
+    assert blank.sum() > 100 and reached.sum() > 3000
+    image, mask = (read(folder / kind / "cam0" / f"{STAMP}.png") for kind in (".", "masks"))
+    assert not image[blank].any() and not mask[blank].any()
+    assert (image[reached].max(-1) > 0).mean() > 0.99 and mask.any()
+
+
 def test_more_than_eight_cameras_have_sixteen_bits(tmp_path):
     folder = recording(tmp_path / "made", straight(9, (48, 36)), samples=1)
     seen = read(folder / "truth" / "seen_by" / f"{STAMP}.png")

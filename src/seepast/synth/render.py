@@ -43,7 +43,10 @@ class Caster:
         triangle_mesh(self._scene, np.ascontiguousarray(mesh.vertices[mesh.faces], np.float32))
 
     def cast(self, origin: np.ndarray, rays: np.ndarray) -> Hits:
-        """First hits from `origin` (3,) along `rays` float[N, 3] (any length; NaN hits nothing)."""
+        """First hits from `origin` (3,) along `rays` float[N, 3] of any length; one of length 0 hits nothing.
+
+        NaN hits nothing either, but Embree visits the whole scene to find that out.
+        """
         rays = np.ascontiguousarray(rays, np.float32)
         origins = np.empty_like(rays)
         origins[:] = origin

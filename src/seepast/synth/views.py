@@ -54,13 +54,14 @@ class View:
 def camera_view(camera: Camera, samples: int) -> View:
     """The camera's own image, through its own lens."""
     rays = camera.unproject(sample_grid(camera.resolution, samples)).reshape(samples**2, -1, 3)
+    rays = np.nan_to_num(rays @ camera.rotation, nan=0)  # where the lens sends no ray the image stays black
     center = camera.center
     middle = np.array(camera.resolution) / 2
     step = camera.unproject(np.stack([middle, middle + np.array([1.0, 0.0])]))
     return View(
         camera.resolution,
         center,
-        (rays @ camera.rotation).astype(np.float32),
+        rays.astype(np.float32),
         float(np.linalg.norm(step[1] - step[0])) / samples,
     )
 
