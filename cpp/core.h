@@ -34,7 +34,8 @@ struct Grid {
 };
 
 // gradients int8 [K, 2, H, W]; descriptors uint8 [K, H, W, 16], biased by 128.
-void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* gradients, uint8_t* descriptors);
+void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* gradients,
+              uint8_t* descriptors);
 
 struct SupportParams {
   int grid, texture, left_right;
@@ -43,42 +44,45 @@ struct SupportParams {
 struct SupportPoint {
   float x, y, d, variance;
 };
-// Matches of the grid points of camera `base` in `partner`; array.offsets are as seen from `base`, `back` from
-// `partner`. Writes at most one point per grid position, returns how many.
-int support_of_camera(const Array& array, const float* back, int base, int partner, const uint8_t* descriptors,
-                      const uint8_t* is_static, const Grid& grid, const SupportParams& params, SupportPoint* points);
+// Matches of the grid points of camera `base` in `partner`; array.offsets are as seen from `base`, `back`
+// from `partner`. Writes at most one point per grid position, returns how many.
+int support_of_camera(const Array& array, const float* back, int base, int partner,
+                      const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
+                      const SupportParams& params, SupportPoint* points);
 
 // Rasterises the triangles' planes: mean int32 [H, W] in eighths of a pixel, `gap` outside all of them.
-void plane_means(const float* points, const int32_t* triangles, int count, int height, int width, int gap,
-                 int32_t* mean);
+// Triangles whose corners differ by more than max_step px take the nearest corner instead.
+void plane_means(const float* points, const int32_t* triangles, int count, int height, int width,
+                 double max_step, int gap, int32_t* mean);
 // uint8 [rows, columns, grid.count], zeroed by the caller.
 void cell_candidates(const float* points, int count, int rows, int columns, const Grid& grid, float radius,
                      uint8_t* cells);
 
 struct DisparityParams {
-  float beta, lone_variance;
+  float beta, lone_variance, unseen_variance;
   int prior_radius;    // eighths
   const float* table;  // prior energy by eighths of |d - mu|
   int table_size;
 };
 // phases int8 [K, 4, 3, H, W]: du, dv (0 where not static) and the static flag at quarter-pixel phases.
 void phase_planes(const Array& array, const int8_t* gradients, const uint8_t* is_static, int8_t* phases);
-void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells, const Grid& grid,
-               const uint8_t* wanted, const DisparityParams& params, float* out);
+void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells,
+               const Grid& grid, const uint8_t* wanted, const DisparityParams& params, float* out);
 
 struct SegmentationParams {
-  double beta;             // 1024ths of a nat per grey level^2
-  double lone_variance;    // grey levels^2
-  const int32_t* costs;    // [2, 255]
+  double beta;               // 1024ths of a nat per grey level^2
+  double lone_variance;      // grey levels^2
+  const int32_t* costs;      // [2, 255]
   const uint8_t* posterior;  // table
-  int posterior_reach;     // its centre
-  double posterior_scale;  // entries per 1024th of a nat
+  int posterior_reach;       // its centre
+  double posterior_scale;    // entries per 1024th of a nat
 };
 void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const float* d,
-                  const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels, uint8_t* posterior);
+                  const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels,
+                  uint8_t* posterior);
 
-void masks(const Array& array, const uint16_t* labels, const uint8_t* posterior, const float* d, const uint8_t* wanted,
-           uint8_t* dynamic, uint8_t* is_static);
+void masks(const Array& array, const uint16_t* labels, const uint8_t* posterior, const float* d,
+           const uint8_t* wanted, uint8_t* dynamic, uint8_t* is_static);
 
 void refocus(const Array& array, const uint8_t* colour, int channels, int reference, const uint16_t* labels,
              const float* d, const uint8_t* keep, uint8_t* background, uint8_t* coverage);

@@ -7,14 +7,16 @@
 namespace seepast {
 namespace {
 
-// One row of (du, dv) / 4 from the three grey rows around it. The rows carry one replicated pixel at both ends.
+// One row of (du, dv) / 4 from the three grey rows around it. The rows carry one replicated pixel at both
+// ends.
 SEEPAST_CLONES
-void sobel_row(const int16_t* __restrict above, const int16_t* __restrict here, const int16_t* __restrict below,
-               int width, int8_t* __restrict du, int8_t* __restrict dv) {
+void sobel_row(const int16_t* __restrict above, const int16_t* __restrict here,
+               const int16_t* __restrict below, int width, int8_t* __restrict du, int8_t* __restrict dv) {
   for (int x = 0; x < width; ++x) {
     const int16_t h = (above[x + 2] - above[x]) + 2 * (here[x + 2] - here[x]) + (below[x + 2] - below[x]);
-    const int16_t v = (below[x] - above[x]) + 2 * (below[x + 1] - above[x + 1]) + (below[x + 2] - above[x + 2]);
-    const int16_t hq = h >> 2, vq = v >> 2;
+    const int16_t v =
+        (below[x] - above[x]) + 2 * (below[x + 1] - above[x + 1]) + (below[x + 2] - above[x + 2]);
+    const int16_t hq = h >> 1, vq = v >> 1;
     du[x] = static_cast<int8_t>(std::min<int16_t>(127, std::max<int16_t>(-127, hq)));
     dv[x] = static_cast<int8_t>(std::min<int16_t>(127, std::max<int16_t>(-127, vq)));
   }
@@ -26,7 +28,8 @@ void widen_row(const uint8_t* row, int width, int16_t* out) {
   out[width + 1] = row[width - 1];
 }
 
-// 16 samples per pixel, one after the other; `rows` are du and dv rows y - 2 .. y + 2 with two replicated pixels.
+// 16 samples per pixel, one after the other; `rows` are du and dv rows y - 2 .. y + 2 with two replicated
+// pixels.
 SEEPAST_CLONES
 void descriptor_row(const int8_t* const* __restrict rows, int width, uint8_t* __restrict out) {
   for (int m = 0; m < kSamples; ++m) {
@@ -37,7 +40,8 @@ void descriptor_row(const int8_t* const* __restrict rows, int width, uint8_t* __
 
 }  // namespace
 
-void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* gradients, uint8_t* descriptors) {
+void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* gradients,
+              uint8_t* descriptors) {
   const size_t pixels = static_cast<size_t>(height) * width;
   const int padded = width + 4;
 #pragma omp parallel
@@ -49,7 +53,8 @@ void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* g
       int16_t* rows[3];
       for (int j = 0; j < 3; ++j) {
         rows[j] = grey_rows.data() + static_cast<size_t>(j) * (width + 2);
-        widen_row(grey + k * pixels + static_cast<size_t>(clamp(y + j - 1, 0, height - 1)) * width, width, rows[j]);
+        widen_row(grey + k * pixels + static_cast<size_t>(clamp(y + j - 1, 0, height - 1)) * width, width,
+                  rows[j]);
       }
       int8_t* du = gradients + 2 * k * pixels + static_cast<size_t>(y) * width;
       sobel_row(rows[0], rows[1], rows[2], width, du, du + pixels);

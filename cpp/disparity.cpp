@@ -1,8 +1,8 @@
 // Stage "disparity", the M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d | T, x) over the candidates.
 //
-// The loops run disparity by disparity over runs of a band of rows, not pixel by pixel over disparities: at one
-// disparity a row of a camera is read with one constant shift, which vectorises; the candidates of a pixel only
-// decide whether its energy may win.
+// The loops run disparity by disparity over runs of a band of rows, not pixel by pixel over disparities: at
+// one disparity a row of a camera is read with one constant shift, which vectorises; the candidates of a
+// pixel only decide whether its energy may win.
 #include <algorithm>
 #include <cstring>
 #include <limits>
@@ -17,8 +17,9 @@ constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
 constexpr int kReach = 2;                         // of the descriptor's pattern
 
 SEEPAST_CLONES
-void phase_row(const int8_t* __restrict du, const int8_t* __restrict dv, const uint8_t* __restrict is_static, int width,
-               int phase, int8_t* __restrict out_du, int8_t* __restrict out_dv, int8_t* __restrict out_static) {
+void phase_row(const int8_t* __restrict du, const int8_t* __restrict dv, const uint8_t* __restrict is_static,
+               int width, int phase, int8_t* __restrict out_du, int8_t* __restrict out_dv,
+               int8_t* __restrict out_static) {
   const int last = phase ? width - 1 : width;  // the pixel after the last one does not exist
   const int next = phase ? 1 : 0;
   for (int x = 0; x < last; ++x) {
@@ -32,9 +33,9 @@ void phase_row(const int8_t* __restrict du, const int8_t* __restrict dv, const u
 
 // Adds one camera's rays to the sums of a row: number of rays, sum and sum of squares of du and dv.
 SEEPAST_CLONES
-void add_rays(const int8_t* __restrict du, const int8_t* __restrict dv, const int8_t* __restrict known, int count,
-              int16_t* __restrict n, int16_t* __restrict sum_du, int16_t* __restrict sum_dv, int32_t* __restrict sq_du,
-              int32_t* __restrict sq_dv) {
+void add_rays(const int8_t* __restrict du, const int8_t* __restrict dv, const int8_t* __restrict known,
+              int count, int16_t* __restrict n, int16_t* __restrict sum_du, int16_t* __restrict sum_dv,
+              int32_t* __restrict sq_du, int32_t* __restrict sq_dv) {
   for (int x = 0; x < count; ++x) {
     const int16_t u = du[x], v = dv[x];
     n[x] = static_cast<int16_t>(n[x] + known[x]);
@@ -47,27 +48,31 @@ void add_rays(const int8_t* __restrict du, const int8_t* __restrict dv, const in
 
 SEEPAST_CLONES
 void pack_row(const int16_t* __restrict n, const int16_t* __restrict sum_du, const int16_t* __restrict sum_dv,
-              const int32_t* __restrict sq_du, const int32_t* __restrict sq_dv, int count, int32_t* __restrict du,
-              int32_t* __restrict dv) {
+              const int32_t* __restrict sq_du, const int32_t* __restrict sq_dv, int count,
+              int32_t* __restrict du, int32_t* __restrict dv, uint8_t* __restrict seen) {
+  for (int x = 0; x < count; ++x) seen[x] = n[x] > 0;
   for (int x = 0; x < count; ++x) du[x] = packed_variance(n[x], sum_du[x], sq_du[x]);
   for (int x = 0; x < count; ++x) dv[x] = packed_variance(n[x], sum_dv[x], sq_dv[x]);
 }
 
-// Sums the packed variances over the descriptor's pattern and lets the pixels whose candidate this is compete.
-// du and dv: the five rows around, starting kReach columns before the first pixel.
+// Sums the packed variances over the descriptor's pattern and lets the pixels whose candidate this is
+// compete. du and dv: the five rows around, starting kReach columns before the first pixel, like `seen`, the
+// pixel's own row.
 SEEPAST_CLONES
-void compete_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv, int count, int away_of_zero,
-                 const int32_t* __restrict mean, const uint8_t* __restrict eligible, const DisparityParams& params,
-                 float value, float* __restrict best, float* __restrict out) {
+void compete_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv,
+                 const uint8_t* __restrict seen, int count, int away_of_zero, const int32_t* __restrict mean,
+                 const uint8_t* __restrict eligible, const DisparityParams& params, float value,
+                 float* __restrict best, float* __restrict out) {
   const float* table = params.table;
   const int tail = params.table_size - 1, radius = params.prior_radius;
-  const float beta = params.beta, lone = params.lone_variance;
+  const float beta = params.beta, lone = params.lone_variance, unseen = params.unseen_variance;
   const int32_t *u0 = du[0], *u1 = du[1], *u2 = du[2], *u3 = du[3], *u4 = du[4];
   const int32_t *v1 = dv[1], *v2 = dv[2], *v3 = dv[3];
   for (int x = 0; x < count; ++x) {
-    const int packed = u0[x + 2] + u1[x] + u1[x + 2] + u1[x + 4] + u2[x + 1] + 2 * u2[x + 2] + u2[x + 3] + u3[x] +
-                       u3[x + 2] + u3[x + 4] + u4[x + 2] + v1[x + 2] + v2[x + 1] + v2[x + 3] + v3[x + 2];
-    const float variance = u2[x + 2] ? descriptor_variance(packed) : lone;
+    const int packed = u0[x + 2] + u1[x] + u1[x + 2] + u1[x + 4] + u2[x + 1] + 2 * u2[x + 2] + u2[x + 3] +
+                       u3[x] + u3[x + 2] + u3[x + 4] + u4[x + 2] + v1[x + 2] + v2[x + 1] + v2[x + 3] +
+                       v3[x + 2];
+    const float variance = u2[x + 2] ? descriptor_variance(packed) : (seen[x + 2] ? lone : unseen);
     int away = away_of_zero - mean[x];
     away = away < 0 ? -away : away;
     const float energy = beta * variance + table[away < tail ? away : tail];
@@ -79,16 +84,22 @@ void compete_row(const int32_t* const* __restrict du, const int32_t* const* __re
 
 // Everything one thread needs while it sweeps a band.
 struct Sweep {
-  Sweep(const Array& array, const int8_t* phases) : array(array), phases(phases), stride(array.width + 2 * kReach) {
+  Sweep(const Array& array, const int8_t* phases)
+      : array(array), phases(phases), stride(array.width + 2 * kReach) {
     n.resize(3 * static_cast<size_t>(stride));
     squares.resize(2 * static_cast<size_t>(stride));
+    seen.resize((kCellRows + 2 * kReach) * static_cast<size_t>(stride));
     packed.resize(2 * (kCellRows + 2 * kReach) * static_cast<size_t>(stride));
   }
 
-  int32_t* row(int plane, int j) { return packed.data() + (static_cast<size_t>(plane) * (kCellRows + 4) + j) * stride; }
+  int32_t* row(int plane, int j) {
+    return packed.data() + (static_cast<size_t>(plane) * (kCellRows + 4) + j) * stride;
+  }
+
+  uint8_t* seen_row(int j) { return seen.data() + static_cast<size_t>(j) * stride; }
 
   // Packed variances of reference row y, columns [from, to), at disparity d; column 0 of the row is `from`.
-  void variances(int y, int from, int to, float d, int32_t* du, int32_t* dv) {
+  void variances(int y, int from, int to, float d, int32_t* du, int32_t* dv, uint8_t* seen_of_row) {
     const int count = to - from;
     std::fill_n(n.data(), 3 * static_cast<size_t>(stride), 0);
     std::fill_n(squares.data(), 2 * static_cast<size_t>(stride), 0);
@@ -98,15 +109,17 @@ struct Sweep {
       if (row < 0 || row >= array.height) continue;
       for (int x = from; x < to;) x = add_run(k, shift, row, x, from, to);
     }
-    pack_row(n.data(), n.data() + stride, n.data() + 2 * stride, squares.data(), squares.data() + stride, count, du,
-             dv);
+    pack_row(n.data(), n.data() + stride, n.data() + 2 * stride, squares.data(), squares.data() + stride,
+             count, du, dv, seen_of_row);
   }
 
-  // Adds camera k's rays from column x on, as far as they keep one quarter-pixel shift; returns where that ends.
+  // Adds camera k's rays from column x on, as far as they keep one quarter-pixel shift; returns where that
+  // ends.
   int add_run(int k, const RayShift& shift, int row, int x, int from, int to) {
     const int quarter = quarter_offset(ray_dx(shift, x, array.cx));
     int end = to;  // the shift is monotonic in x: halve until it is the same at both ends
-    while (end - x > 1 && quarter_offset(ray_dx(shift, end - 1, array.cx)) != quarter) end = x + (end - x) / 2;
+    while (end - x > 1 && quarter_offset(ray_dx(shift, end - 1, array.cx)) != quarter)
+      end = x + (end - x) / 2;
     const int whole = quarter >> 2, phase = quarter & 3;
     const int a = std::max(x, -whole), b = std::min(end, array.width - whole);
     if (a < b) {
@@ -125,6 +138,7 @@ struct Sweep {
   int stride;
   std::vector<int16_t> n;        // rays, sum du, sum dv
   std::vector<int32_t> squares;  // of du, of dv
+  std::vector<uint8_t> seen;     // by any ray, kCellRows + 4 rows
   std::vector<int32_t> packed;   // variances of du, dv: kCellRows + 4 rows each
 };
 
@@ -183,15 +197,17 @@ void sweep_band(Sweep& sweep, const Band& band, const Grid& grid, const int32_t*
         std::memset(sweep.row(1, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
         if (y < 0 || y >= array.height) continue;
         const int at = left - (from - kReach);
-        sweep.variances(y, left, right, grid.value(i), sweep.row(0, j) + at, sweep.row(1, j) + at);
+        sweep.variances(y, left, right, grid.value(i), sweep.row(0, j) + at, sweep.row(1, j) + at,
+                        sweep.seen_row(j) + at);
       }
       for (int y = band.y0; y < band.y1; ++y) {
         const size_t at = static_cast<size_t>(y) * width + from;
         for (int x = from; x < to; ++x) eligible[x] = wanted[at + x - from] ? active[x / kCellColumns] : 0;
         const int32_t *du[5], *dv[5];
-        for (int j = 0; j < 5; ++j) du[j] = sweep.row(0, y - band.y0 + j), dv[j] = sweep.row(1, y - band.y0 + j);
-        compete_row(du, dv, to - from, grid.first + i * grid.step, mean + at, eligible.data() + from, params,
-                    grid.value(i), best + at, out + at);
+        for (int j = 0; j < 5; ++j)
+          du[j] = sweep.row(0, y - band.y0 + j), dv[j] = sweep.row(1, y - band.y0 + j);
+        compete_row(du, dv, sweep.seen_row(y - band.y0 + kReach), to - from, grid.first + i * grid.step,
+                    mean + at, eligible.data() + from, params, grid.value(i), best + at, out + at);
       }
     }
   }
@@ -208,13 +224,14 @@ void phase_planes(const Array& array, const int8_t* gradients, const uint8_t* is
     const int8_t* du = gradients + 2 * k * pixels + row;
     for (int phase = 0; phase < 4; ++phase) {
       int8_t* to = phases + static_cast<size_t>(k * 4 + phase) * 3 * pixels + row;
-      phase_row(du, du + pixels, is_static + k * pixels + row, array.width, phase, to, to + pixels, to + 2 * pixels);
+      phase_row(du, du + pixels, is_static + k * pixels + row, array.width, phase, to, to + pixels,
+                to + 2 * pixels);
     }
   }
 }
 
-void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells, const Grid& grid,
-               const uint8_t* wanted, const DisparityParams& params, float* out) {
+void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells,
+               const Grid& grid, const uint8_t* wanted, const DisparityParams& params, float* out) {
   std::vector<float> best(array.pixels(), std::numeric_limits<float>::infinity());
   std::fill_n(out, array.pixels(), 0.0f);
   const int bands = (array.height + kCellRows - 1) / kCellRows;

@@ -13,11 +13,11 @@
 namespace seepast {
 
 constexpr int kMaxCameras = 16;
-constexpr int kSamples = 16;                 // of one descriptor: 12 horizontal, 4 vertical gradients
+constexpr int kSamples = 16;  // of one descriptor: 12 horizontal, 4 vertical gradients
 constexpr int kHorizontal = 12;
-constexpr int kSampleKnown = 1 << 24;        // variance below, number of known samples above
-constexpr uint8_t kNoRay = 255;              // in `dynamic`: this view has no source pixel here
-constexpr uint8_t kUnchanged = 255;          // in a posterior: the label is the one its prior suggested
+constexpr int kSampleKnown = 1 << 24;  // variance below, number of known samples above
+constexpr uint8_t kNoRay = 255;        // in `dynamic`: this view has no source pixel here
+constexpr uint8_t kUnchanged = 255;    // in a posterior: the label is the one its prior suggested
 
 // Where around the pixel the descriptor samples the Sobel responses (reference.py PATTERN_DU, PATTERN_DV).
 constexpr int8_t kPatternY[kSamples] = {-2, -1, -1, -1, 0, 0, 0, 0, 1, 1, 1, 2, -1, 0, 0, 1};
@@ -40,8 +40,12 @@ SEEPAST_HD RayShift ray_shift(const float* offset, float d) {
   return {s - 1.0f, d * offset[0] * s, d * offset[1] * s};
 }
 
-SEEPAST_HD float ray_dx(const RayShift& r, int x, float cx) { return (static_cast<float>(x) - cx) * r.zoom - r.x; }
-SEEPAST_HD float ray_dy(const RayShift& r, int y, float cy) { return (static_cast<float>(y) - cy) * r.zoom - r.y; }
+SEEPAST_HD float ray_dx(const RayShift& r, int x, float cx) {
+  return (static_cast<float>(x) - cx) * r.zoom - r.x;
+}
+SEEPAST_HD float ray_dy(const RayShift& r, int y, float cy) {
+  return (static_cast<float>(y) - cy) * r.zoom - r.y;
+}
 
 // Matching looks at quarter pixels in x ...
 SEEPAST_HD int quarter_offset(float dx) { return floor_int(4.0f * dx + 0.5f); }
@@ -53,7 +57,9 @@ SEEPAST_HD bool inside(int xq, int row, int width, int height) {
   return xq >= 0 && (xq >> 2) + ((xq & 3) > 0) < width && row >= 0 && row < height;
 }
 
-SEEPAST_HD int interpolate(int left, int right, int phase) { return (left * (4 - phase) + right * phase + 2) >> 2; }
+SEEPAST_HD int interpolate(int left, int right, int phase) {
+  return (left * (4 - phase) + right * phase + 2) >> 2;
+}
 
 // (n sum f^2 - (sum f)^2) / n^2 in whole grey levels^2, tagged as known; 0 where fewer than two rays speak.
 SEEPAST_HD int packed_variance(int n, int sum, int squares) {

@@ -1,4 +1,5 @@
-// Stage "prior": the planes of the triangulation, and the candidates that every cell's support points suggest.
+// Stage "prior": the planes of the triangulation, and the candidates that every cell's support points
+// suggest.
 #include <algorithm>
 #include <cmath>
 
@@ -7,31 +8,41 @@
 namespace seepast {
 namespace {
 
-// The plane d(x, y) over one triangle, and its edges as signed areas.
+// One triangle: its edges as signed areas, and the disparity inside.
 struct Triangle {
-  Triangle(const float* a, const float* b, const float* c)
-      : x0(a[0]), y0(a[1]), d0(a[2]), x1(b[0]), y1(b[1]), x2(c[0]), y2(c[1]) {
-    const double d1 = b[2], d2 = c[2];
-    area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0);
-    slope_x = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area;
-    slope_y = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area;
+  Triangle(const float* a, const float* b, const float* c, double max_step)
+      : x{a[0], b[0], c[0]}, y{a[1], b[1], c[1]}, d{a[2], b[2], c[2]} {
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+    slope_x = ((d[1] - d[0]) * (y[2] - y[0]) - (d[2] - d[0]) * (y[1] - y[0])) / area;
+    slope_y = ((d[2] - d[0]) * (x[1] - x[0]) - (d[1] - d[0]) * (x[2] - x[0])) / area;
+    bridges_edge = std::max({d[0], d[1], d[2]}) - std::min({d[0], d[1], d[2]}) > max_step;
   }
-  bool covers(double x, double y) const {
-    const double e0 = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0);
-    const double e1 = (x2 - x1) * (y - y1) - (y2 - y1) * (x - x1);
-    const double e2 = (x0 - x2) * (y - y2) - (y0 - y2) * (x - x2);
+  bool covers(double px, double py) const {
+    const double e0 = (x[1] - x[0]) * (py - y[0]) - (y[1] - y[0]) * (px - x[0]);
+    const double e1 = (x[2] - x[1]) * (py - y[1]) - (y[2] - y[1]) * (px - x[1]);
+    const double e2 = (x[0] - x[2]) * (py - y[2]) - (y[0] - y[2]) * (px - x[2]);
     return e0 * area >= 0 && e1 * area >= 0 && e2 * area >= 0;
   }
-  double at(double x, double y) const { return d0 + slope_x * (x - x0) + slope_y * (y - y0); }
+  double at(double px, double py) const {
+    return bridges_edge ? d[nearest(px, py)] : d[0] + slope_x * (px - x[0]) + slope_y * (py - y[0]);
+  }
+  int nearest(double px, double py) const {
+    double r[3];
+    for (int j = 0; j < 3; ++j) r[j] = (px - x[j]) * (px - x[j]) + (py - y[j]) * (py - y[j]);
+    const int first = r[1] < r[0] ? 1 : 0;
+    return r[2] < r[first] ? 2 : first;
+  }
 
-  double x0, y0, d0, x1, y1, x2, y2, area, slope_x, slope_y;
+  double x[3], y[3], d[3], area, slope_x, slope_y;
+  bool bridges_edge;
 };
 
 }  // namespace
 
-void plane_means(const float* points, const int32_t* triangles, int count, int height, int width, int gap,
-                 int32_t* mean) {
-  constexpr int kBand = 32;  // rows of one task; within it triangles come in order, the earlier one wins an edge
+void plane_means(const float* points, const int32_t* triangles, int count, int height, int width,
+                 double max_step, int gap, int32_t* mean) {
+  constexpr int kBand =
+      32;  // rows of one task; within it triangles come in order, the earlier one wins an edge
 #pragma omp parallel for schedule(dynamic, 1)
   for (int top = 0; top < height; top += kBand) {
     const int bottom = std::min(height, top + kBand);
@@ -42,9 +53,10 @@ void plane_means(const float* points, const int32_t* triangles, int count, int h
       const auto [low_y, high_y] = std::minmax({corner[0][1], corner[1][1], corner[2][1]});
       if (high_y < static_cast<float>(top) || low_y >= static_cast<float>(bottom)) continue;
       const auto [low_x, high_x] = std::minmax({corner[0][0], corner[1][0], corner[2][0]});
-      const Triangle triangle(corner[0], corner[1], corner[2]);
+      const Triangle triangle(corner[0], corner[1], corner[2], max_step);
       if (triangle.area == 0) continue;
-      const int first = std::max(top, static_cast<int>(low_y)), last = std::min(bottom - 1, static_cast<int>(high_y));
+      const int first = std::max(top, static_cast<int>(low_y)),
+                last = std::min(bottom - 1, static_cast<int>(high_y));
       for (int y = first; y <= last; ++y)
         for (int x = static_cast<int>(low_x); x <= static_cast<int>(high_x); ++x) {
           int32_t& m = mean[static_cast<size_t>(y) * width + x];

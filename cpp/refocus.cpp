@@ -17,7 +17,8 @@ void add_bilinear(const Array& array, const uint8_t* image, int channels, int x,
   for (int j = 0; j < 2; ++j)
     for (int i = 0; i < 2; ++i)
       pixel[j][i] = image + (static_cast<size_t>(clamp(y + top + j, 0, array.height - 1)) * array.width +
-                             clamp(x + left + i, 0, array.width - 1)) * channels;
+                             clamp(x + left + i, 0, array.width - 1)) *
+                                channels;
   for (int c = 0; c < channels; ++c) {
     const float upper = pixel[0][0][c] + (static_cast<float>(pixel[0][1][c]) - pixel[0][0][c]) * fx;
     const float lower = pixel[1][0][c] + (static_cast<float>(pixel[1][1][c]) - pixel[1][0][c]) * fx;
@@ -25,7 +26,8 @@ void add_bilinear(const Array& array, const uint8_t* image, int channels, int x,
   }
 }
 
-// Per pixel the distance to the nearest seen pixel of its row on the left and right, column above and below; 0 = none.
+// Per pixel the distance to the nearest seen pixel of its row on the left and right, column above and below;
+// 0 = none.
 struct Distances {
   Distances(int height, int width, const uint8_t* coverage) {
     for (auto& d : to) d.assign(static_cast<size_t>(height) * width, 0);
@@ -96,7 +98,8 @@ void fill_unseen(int height, int width, int channels, const uint8_t* coverage, c
         const size_t seen = at + far * step[j];
         float weight = 1.0f / static_cast<float>(far * far);
         if (d[seen] > d[at] + nearer) weight *= foreground_weight;
-        for (int c = 0; c < channels; ++c) total[c] += weight * static_cast<float>(background[seen * channels + c]);
+        for (int c = 0; c < channels; ++c)
+          total[c] += weight * static_cast<float>(background[seen * channels + c]);
         weights += weight;
       }
       if (!(weights > 0)) continue;

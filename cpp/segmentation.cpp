@@ -1,8 +1,9 @@
-// Stage "segmentation", the E-step: argmin over the 2^K label sets S of beta Var_S - sum_k log p(S^k | S_P^k).
+// Stage "segmentation", the E-step: argmin over the 2^K label sets S of beta Var_S - sum_k log p(S^k |
+// S_P^k).
 //
-// Not all sets need looking at. The set S_0 of every ray's cheaper label has the least prior cost there is, so a
-// set can only win by saving variance: rays whose other label costs more than beta Var_{S_0} on top can never
-// flip. Mostly none is left, and the result is still the exact minimum.
+// Not all sets need looking at. The set S_0 of every ray's cheaper label has the least prior cost there is,
+// so a set can only win by saving variance: rays whose other label costs more than beta Var_{S_0} on top can
+// never flip. Mostly none is left, and the result is still the exact minimum.
 #include <bit>
 #include <cmath>
 
@@ -21,8 +22,8 @@ struct Rays {
 };
 
 SEEPAST_CLONES
-void gather(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const int32_t* costs, int x, int y,
-            float d, Rays& rays) {
+void gather(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const int32_t* costs,
+            int x, int y, float d, Rays& rays) {
   const size_t pixels = array.pixels();
   rays.exist = 0;
   for (int k = 0; k < array.cameras; ++k) {
@@ -36,7 +37,8 @@ void gather(const Array& array, const uint8_t* descriptors, const uint8_t* dynam
     rays.cost[1][k] = costs[255 + p];
     ray_descriptor(descriptors + k * pixels * kSamples, array.width, q.xq, q.row, rays.f[k]);
     for (int j = 0; j < k; ++j)
-      if (rays.exist >> j & 1) rays.distance[k][j] = rays.distance[j][k] = squared_distance(rays.f[k], rays.f[j]);
+      if (rays.exist >> j & 1)
+        rays.distance[k][j] = rays.distance[j][k] = squared_distance(rays.f[k], rays.f[j]);
     rays.exist |= 1u << k;
   }
 }
@@ -69,7 +71,8 @@ double data_energy(const SegmentationParams& params, int spread, int n) {
 }
 
 double energy_of(const Rays& rays, const SegmentationParams& params, uint32_t set) {
-  return data_energy(params, spread_of(rays, set), std::popcount(set)) + static_cast<double>(prior_of(rays, set));
+  return data_energy(params, spread_of(rays, set), std::popcount(set)) +
+         static_cast<double>(prior_of(rays, set));
 }
 
 // Rays whose dearer label could pay for itself against S_0.
@@ -82,7 +85,8 @@ uint32_t flippable(const Rays& rays, double slack) {
   return set;
 }
 
-// Walks through all subsets of `flips` in Gray-code order, one ray at a time; ties go to the smaller label number.
+// Walks through all subsets of `flips` in Gray-code order, one ray at a time; ties go to the smaller label
+// number.
 uint32_t best_set(const Rays& rays, const SegmentationParams& params, uint32_t start, uint32_t flips) {
   uint32_t set = start, best = start;
   int spread = spread_of(rays, set);
@@ -124,7 +128,8 @@ uint8_t posterior_of(const Rays& rays, const SegmentationParams& params, uint32_
 }  // namespace
 
 void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const float* d,
-                  const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels, uint8_t* posterior) {
+                  const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels,
+                  uint8_t* posterior) {
   const size_t pixels = array.pixels();
 #pragma omp parallel for schedule(dynamic, 8)
   for (int y = 0; y < array.height; ++y) {
@@ -139,7 +144,8 @@ void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t*
       labels[at] = static_cast<uint16_t>(set);
       for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {
         const int k = std::countr_zero(rest);
-        if ((set >> k & 1) != (rays.p[k] < 127)) posterior[k * pixels + at] = posterior_of(rays, params, set, k);
+        if ((set >> k & 1) != (rays.p[k] < 127))
+          posterior[k * pixels + at] = posterior_of(rays, params, set, k);
       }
     }
   }

@@ -1,4 +1,5 @@
-// Stage "support": textured, unique, left-right consistent matches of grid points between neighbouring cameras.
+// Stage "support": textured, unique, left-right consistent matches of grid points between neighbouring
+// cameras.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -19,7 +20,8 @@ bool within_margin(int x, int y, int width, int height) {
 // Sum of absolute differences of the descriptors of the four pixels two up, down, left and right, diagonally.
 SEEPAST_CLONES
 int block_cost(const uint8_t* a, const uint8_t* b, int width) {
-  const ptrdiff_t rows[2] = {-2 * static_cast<ptrdiff_t>(width) * kSamples, 2 * static_cast<ptrdiff_t>(width) * kSamples};
+  const ptrdiff_t rows[2] = {-2 * static_cast<ptrdiff_t>(width) * kSamples,
+                             2 * static_cast<ptrdiff_t>(width) * kSamples};
   int sum = 0;
   for (const ptrdiff_t row : rows)
     for (const ptrdiff_t column : {-2 * kSamples, 2 * kSamples}) {
@@ -51,7 +53,8 @@ struct Matcher {
   }
 
   Point land(Point p, int i) const {
-    return {p.x + whole_offset(ray_dx(shifts[i], p.x, array.cx)), p.y + whole_offset(ray_dy(shifts[i], p.y, array.cy))};
+    return {p.x + whole_offset(ray_dx(shifts[i], p.x, array.cx)),
+            p.y + whole_offset(ray_dy(shifts[i], p.y, array.cy))};
   }
 
   // Index of the best disparity, or -1 if it is not sure. `costs` is scratch.
@@ -85,7 +88,8 @@ struct Matcher {
 
 // Var_S of the static rays' descriptors at one disparity; infinite with fewer than two.
 SEEPAST_CLONES
-float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t* is_static, int x, int y, float d) {
+float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t* is_static, int x, int y,
+                   float d) {
   int16_t f[kMaxCameras][kSamples];
   const size_t pixels = array.pixels();
   int n = 0, spread = 0;
@@ -104,11 +108,12 @@ float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t
 }
 
 // The candidate of the grid within one neighbour step of d that has the least variance.
-SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
-                    float partner_offset, Point p, float d) {
+SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_t* is_static,
+                    const Grid& grid, float partner_offset, Point p, float d) {
   const float reach = 1.0f / std::fabs(partner_offset);
   const int steps = static_cast<int>(std::ceil(reach / (static_cast<float>(grid.step) / 8.0f)));
-  const int nearest = floor_int((d * 8.0f - static_cast<float>(grid.first)) / static_cast<float>(grid.step) + 0.5f);
+  const int nearest =
+      floor_int((d * 8.0f - static_cast<float>(grid.first)) / static_cast<float>(grid.step) + 0.5f);
   int best = clamp(nearest, 0, grid.count - 1);
   float lowest = std::numeric_limits<float>::infinity();
   for (int i = std::max(0, nearest - steps); i <= std::min(grid.count - 1, nearest + steps); ++i) {
@@ -126,8 +131,9 @@ int texture(const uint8_t* descriptor) {
 
 }  // namespace
 
-int support_of_camera(const Array& array, const float* back_offsets, int base, int partner, const uint8_t* descriptors,
-                      const uint8_t* is_static, const Grid& grid, const SupportParams& params, SupportPoint* points) {
+int support_of_camera(const Array& array, const float* back_offsets, int base, int partner,
+                      const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
+                      const SupportParams& params, SupportPoint* points) {
   const Matcher forth(array, array.offsets, base, partner, descriptors, is_static, grid, params);
   const Matcher back(array, back_offsets, partner, base, descriptors, is_static, grid, params);
   const uint8_t* base_static = is_static + base * array.pixels();

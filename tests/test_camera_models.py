@@ -62,9 +62,7 @@ def test_the_axis_and_what_lies_behind(camera):
     assert np.isnan(project(*camera, np.array([0.0, 0.0, -1.0]))).all()
 
 
-@pytest.mark.parametrize(
-    "name", ["pinhole none", "pinhole radtan 4", "pinhole radtan 5", "pinhole pincushion"]
-)
+@pytest.mark.parametrize("name", ["pinhole none", "pinhole radtan 4", "pinhole radtan 5", "pinhole pincushion"])
 def test_radtan_is_opencvs(name):
     _, _, (fu, fv, pu, pv), coefficients = camera = MODELS[name]
     points = np.random.default_rng(2).uniform([-1, -0.7, 1.5], [1, 0.7, 4], (300, 3))
@@ -79,9 +77,7 @@ def test_equidistant_is_opencvs():
     _, _, (fu, fv, pu, pv), coefficients = camera = MODELS["pinhole equidistant"]
     points = np.random.default_rng(3).uniform([-3, -3, 1], [3, 3, 2], (300, 3))
     matrix = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]])
-    expected, _ = cv2.fisheye.projectPoints(
-        points[:, None], np.zeros(3), np.zeros(3), matrix, np.array(coefficients)
-    )
+    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), matrix, np.array(coefficients))
     np.testing.assert_allclose(project(*camera, points), expected.reshape(-1, 2), atol=1e-9)
 
 

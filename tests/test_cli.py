@@ -106,9 +106,7 @@ def test_settings_reach_the_method(tmp_path: Path, fake: type[FakeReconstructor]
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "out/background/000000.png")), there)
 
 
-def test_a_folder_of_recordings_and_a_bad_one_among_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_folder_of_recordings_and_a_bad_one_among_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in "abc":
         write_recording(tmp_path / "data" / name)
     (tmp_path / "data" / "b" / "cam1" / "000000.png").write_bytes(b"")
@@ -124,11 +122,7 @@ def test_json_is_one_line_for_machines(tmp_path: Path, capsys: pytest.CaptureFix
     assert seepast("run", tmp_path / "rec", "--out", tmp_path / "out", "--json") == 0
     (line,) = capsys.readouterr().out.splitlines()
     summary = json.loads(line)
-    assert (
-        summary["name"] == "rec"
-        and summary["frames"] == 1
-        and summary["coverage_share"] == pytest.approx(0.5)
-    )
+    assert summary["name"] == "rec" and summary["frames"] == 1 and summary["coverage_share"] == pytest.approx(0.5)
     assert summary["milliseconds"]["rectify"] == FAKE_MS
 
 

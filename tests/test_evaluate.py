@@ -180,9 +180,7 @@ def test_the_table_shows_every_row_and_column(made):
     assert len({len(line) for line in lines}) == 1
 
 
-@pytest.mark.parametrize(
-    "lost", ["background/{}.png", "disparity/{}.pfm", "coverage/{}.png", "masks/cam1/{}.png"]
-)
+@pytest.mark.parametrize("lost", ["background/{}.png", "disparity/{}.pfm", "coverage/{}.png", "masks/cam1/{}.png"])
 def test_names_the_file_that_is_missing(made, lost):
     path = made[1] / lost.format(STAMP)
     path.unlink()

@@ -20,12 +20,8 @@ from seepast.options import Options
 from seepast.result import Result
 
 CAMERAS = ("cam0", "cam1", "cam2")
-RUN = Run(
-    "0.1.0", "/data/rec", "/data/rec/masks", "0123", "cam1", "cpu", False, Options.preset("paper").flat()
-)
-GEOMETRY = ArrayGeometry(
-    (50.0, 50.0), (23.5, 17.0), (48, 35), np.array([[-0.1, 0, 0], [0, 0, 0], [0.2, 0, 0.0]]), 1
-)
+RUN = Run("0.1.0", "/data/rec", "/data/rec/masks", "0123", "cam1", "cpu", False, Options.preset("paper").flat())
+GEOMETRY = ArrayGeometry((50.0, 50.0), (23.5, 17.0), (48, 35), np.array([[-0.1, 0, 0], [0, 0, 0], [0.2, 0, 0.0]]), 1)
 
 
 def result(seed: int = 0, milliseconds: float = 10.0) -> Result:
@@ -167,9 +163,7 @@ def test_a_crash_between_or_within_files_leaves_whole_files_only(
         assert writer.done("0") and not writer.done("1")
     finished = names(tmp_path)
     assert len(finished & frame_names("1")) == file
-    assert finished <= frame_names("0") | frame_names("1") | {"camera.yaml", "run.json"}, (
-        "no half-written files"
-    )
+    assert finished <= frame_names("0") | frame_names("1") | {"camera.yaml", "run.json"}, "no half-written files"
     for name in finished & frame_names("1"):
         read(tmp_path / name)
     with FolderWriter(tmp_path, RUN, CAMERAS) as writer:
@@ -177,9 +171,7 @@ def test_a_crash_between_or_within_files_leaves_whole_files_only(
         assert writer.done("1")
 
 
-def test_an_unfinished_frame_that_was_finished_once_is_redone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unfinished_frame_that_was_finished_once_is_redone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with FolderWriter(tmp_path, RUN, CAMERAS) as writer:
         writer.write("0", result(), 1.0)
         monkeypatch.setattr(atomic, "write_pfm", lambda *_: (_ for _ in ()).throw(Crash))
@@ -202,9 +194,7 @@ def test_another_run_is_refused_and_overwritten_on_request(tmp_path: Path) -> No
         writer.write("0", result(), 1.0)
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "background" / "notes.txt").write_text("mine")
-    other = replace(
-        RUN, reference="cam0", options=Options.preset("paper").updated({"disparity.beta": 0.5}).flat()
-    )
+    other = replace(RUN, reference="cam0", options=Options.preset("paper").updated({"disparity.beta": 0.5}).flat())
     with pytest.raises(OutputError, match="--overwrite") as caught:
         FolderWriter(tmp_path, other, CAMERAS)
     assert "reference: cam1 there, cam0 now" in str(caught.value)
@@ -234,9 +224,7 @@ def test_every_setting_counts_as_another_run(tmp_path: Path, other: Run) -> None
         FolderWriter(tmp_path, other, CAMERAS)
 
 
-def test_a_run_that_finished_no_frame_is_in_nobodys_way(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_that_finished_no_frame_is_in_nobodys_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with FolderWriter(tmp_path, RUN, CAMERAS) as writer:
         monkeypatch.setattr(atomic, "write_pfm", lambda *_: (_ for _ in ()).throw(Crash))
         with pytest.raises(Crash):
@@ -247,12 +235,8 @@ def test_a_run_that_finished_no_frame_is_in_nobodys_way(
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
-@pytest.mark.parametrize(
-    ("name", "text"), [("rig.yaml", "cam0:"), ("run.json", "{}"), ("run.json", "[1"), ("a", "")]
-)
-def test_a_folder_of_something_else_is_never_touched(
-    tmp_path: Path, name: str, text: str, overwrite: bool
-) -> None:
+@pytest.mark.parametrize(("name", "text"), [("rig.yaml", "cam0:"), ("run.json", "{}"), ("run.json", "[1"), ("a", "")])
+def test_a_folder_of_something_else_is_never_touched(tmp_path: Path, name: str, text: str, overwrite: bool) -> None:
     (tmp_path / "masks" / "cam0").mkdir(parents=True)
     (tmp_path / "masks" / "cam0" / "0.png").write_bytes(b"precious")
     (tmp_path / name).write_text(text)

@@ -262,9 +262,7 @@ def test_pixels_the_rectified_view_does_not_reach_keep_their_own_value():
     rectification = rectify(crooked_rig(5))
     kept = 0
     for k in range(5):
-        back = rectification.masks_to_input(
-            k, np.zeros((180, 240), np.uint8), np.full((180, 240), 77, np.uint8)
-        )
+        back = rectification.masks_to_input(k, np.zeros((180, 240), np.uint8), np.full((180, 240), 77, np.uint8))
         assert set(np.unique(back)) <= {0, 77} and back[90, 120] == 0
         kept += int((back == 77).sum())
         unreached = back == 77
@@ -281,9 +279,7 @@ def test_little_of_a_moderate_lens_is_lost_and_resolution_is_kept():
 
 
 def test_a_fisheye_keeps_a_sensible_central_field():
-    made = tuple(
-        camera(k, turn(0, 0.02 * k, 0), [0.2 * k, 0, 0], ("ds", "none", ()), focal=60.0) for k in range(2)
-    )
+    made = tuple(camera(k, turn(0, 0.02 * k, 0), [0.2 * k, 0, 0], ("ds", "none", ()), focal=60.0) for k in range(2))
     rectification = rectify(Rig(made))
     half_field = np.degrees(np.arctan(120 / rectification.geometry.focal[0]))
     assert 50 < half_field < 65  # the lens itself sees beyond 90 degrees

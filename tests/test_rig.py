@@ -103,17 +103,14 @@ def test_a_chain_of_three_accumulates(load):
 
 def test_cameras_come_by_number_not_by_place_in_the_file(load):
     text = "".join(
-        f"cam{n}:\n{PLAIN}{STEP.format(x=-0.1 * (n + 1)) if n else ''}"
-        for n in (10, 2, *range(2), *range(3, 10))
+        f"cam{n}:\n{PLAIN}{STEP.format(x=-0.1 * (n + 1)) if n else ''}" for n in (10, 2, *range(2), *range(3, 10))
     )
     rig = load(text)
     assert [c.name for c in rig.cameras] == [f"cam{n}" for n in range(11)]
     np.testing.assert_allclose(rig.centers[10, 0], sum(0.1 * (n + 1) for n in range(1, 11)))
 
 
-@pytest.mark.parametrize(
-    "style", ["T_cam_imu nested", "T_imu_cam nested", "T_cam_imu flat", "T_imu_cam :", "3 rows"]
-)
+@pytest.mark.parametrize("style", ["T_cam_imu nested", "T_imu_cam nested", "T_cam_imu flat", "T_imu_cam :", "3 rows"])
 def test_poses_relative_to_an_imu(load, style):
     imu0, imu1 = pose(0, 1.2, (0.3, -0.1, 0.05)), pose(0, 1.15, (0.1, -0.1, 0.04))
     inverse = style.startswith("T_imu_cam")

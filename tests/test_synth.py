@@ -209,9 +209,7 @@ def test_noise_and_gain_are_those_asked_for(tmp_path):
     assert max(ratios) - min(ratios) > 0.03 and max(abs(r - 1) for r in ratios) <= 0.31
     background = read(louder / "truth" / "background" / f"{STAMP}.png").astype(float)
     visible = read(louder / "truth" / "hidden" / f"{STAMP}.png") == 0
-    assert (
-        abs(background - read(louder / "cam1" / f"{STAMP}.png"))[visible].max() <= 1
-    )  # the reference's gain
+    assert abs(background - read(louder / "cam1" / f"{STAMP}.png"))[visible].max() <= 1  # the reference's gain
 
 
 def test_frames_move_and_are_laid_out_as_a_dataset(tmp_path):
@@ -240,9 +238,7 @@ def test_a_lens_that_fills_only_part_of_its_image(tmp_path):
         pose[0, 3] = -0.3 * k
         made.append(Camera(f"cam{k}", "ds", "none", (-0.2, 0.59, 20.0, 20.0, 47.5, 35.5), (), SIZE, pose))
     rig = Rig(tuple(made))
-    folder = recording(
-        tmp_path / "made", rig, figure_depth=(1.0, 2.0), background_depth=(2.0, 5.0), figures=3
-    )
+    folder = recording(tmp_path / "made", rig, figure_depth=(1.0, 2.0), background_depth=(2.0, 5.0), figures=3)
     y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]]
     reached = np.isfinite(rig.cameras[0].unproject(np.stack([x, y], -1).astype(float))).all(-1)
     blank = cv2.erode((~reached).astype(np.uint8), np.ones((3, 3))) > 0

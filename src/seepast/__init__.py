@@ -1,8 +1,8 @@
 """seepast: see past people with a camera array.
 
-    import seepast
-    rig = seepast.Rig.from_kalibr("rig.yaml")
-    result = seepast.reconstruct(images, masks, rig)   # arrays in, arrays out
+import seepast
+rig = seepast.Rig.from_kalibr("rig.yaml")
+result = seepast.reconstruct(images, masks, rig)   # arrays in, arrays out
 """
 
 from .errors import SeepastError

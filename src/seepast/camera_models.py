@@ -66,8 +66,7 @@ def check_model(
     _check_coefficients(name, distortion, coefficients)
     if not np.isfinite([*intrinsics, *coefficients]).all():
         raise RigError(
-            f"{name}: intrinsics or distortion_coeffs hold NaN or infinity: the calibration did not "
-            "converge; repeat it"
+            f"{name}: intrinsics or distortion_coeffs hold NaN or infinity: the calibration did not converge; repeat it"
         )
     _check_values(name, model, dict(zip(names, intrinsics, strict=True)))
 
@@ -81,9 +80,7 @@ def _check_coefficients(name: str, distortion: str, coefficients: Sequence[float
             )
     elif len(coefficients) not in COEFFICIENTS[distortion]:
         expected = " or ".join(str(n) for n in COEFFICIENTS[distortion])
-        raise RigError(
-            f"{name}: distortion_coeffs of '{distortion}' are {expected} numbers, not {len(coefficients)}"
-        )
+        raise RigError(f"{name}: distortion_coeffs of '{distortion}' are {expected} numbers, not {len(coefficients)}")
 
 
 def _check_values(name: str, model: str, value: dict[str, float]) -> None:
@@ -240,9 +237,7 @@ def _radtan_undistort(coefficients: Sequence[float], plane: np.ndarray) -> np.nd
         yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
         xy = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
         determinant = xx * yy - xy * xy
-        x, y = _inside_radius(
-            x - (yy * eu - xy * ev) / determinant, y - (xx * ev - xy * eu) / determinant, limit
-        )
+        x, y = _inside_radius(x - (yy * eu - xy * ev) / determinant, y - (xx * ev - xy * eu) / determinant, limit)
     u, v, _, _ = _radtan_terms(coefficients, x, y)
     solved = (np.hypot(u - target_x, v - target_y) < _CONVERGED) & (x * x + y * y < limit)
     return np.where(solved[..., None], np.stack([x, y], axis=-1), np.nan)

@@ -29,9 +29,7 @@ class Report:
     row_error_px: float
 
 
-def check(
-    dataset: Dataset, reference: int | str = 0, *, on_frame: Callable[[], None] = lambda: None
-) -> Report:
+def check(dataset: Dataset, reference: int | str = 0, *, on_frame: Callable[[], None] = lambda: None) -> Report:
     """Read all of `dataset` and measure. Raises DatasetError or RigError for the first thing wrong."""
     rectification = rectify(dataset.rig, dataset.rig.index(reference))
     row_error = float("nan")

@@ -160,9 +160,7 @@ def check(dataset: Path, /, *, masks: Masks = None, reference: str = "cam0") -> 
         f"view: {geometry.size[0]}x{geometry.size[1]}, f {geometry.focal[0]:.1f} px, baseline "
         f"{geometry.baseline:.3f} m: 5 m away is {geometry.focal_baseline / 5:.1f} px of disparity"
     )
-    print(
-        f"rows: {report.row_error_px:.2f} px off in {recording.stamps[0]}; good below {GOOD_ROWS_PX}"
-    )
+    print(f"rows: {report.row_error_px:.2f} px off in {recording.stamps[0]}; good below {GOOD_ROWS_PX}")
     return 0
 
 
@@ -244,9 +242,7 @@ def evaluate(
     if json_ is not None:
         from .export.atomic import write_json
 
-        write_json(
-            json_, {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
-        )
+        write_json(json_, {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()})
     return 0
 
 
@@ -351,9 +347,7 @@ def _assignments(words: Sequence[str]) -> dict[str, str]:
     for word in words:
         name, equals, value = word.partition("=")
         if not (name and equals and value):
-            raise OptionsError(
-                f"--set {word}: write it as stage.field=value, for instance --set disparity.beta=0.01"
-            )
+            raise OptionsError(f"--set {word}: write it as stage.field=value, for instance --set disparity.beta=0.01")
         pairs[name.strip()] = value.strip()
     return pairs
 

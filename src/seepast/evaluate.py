@@ -70,9 +70,7 @@ def evaluate(dataset: str | Path, out: str | Path, masks: str | None = "masks") 
     for name, recording, output in _recordings(dataset, out):
         stamps = sorted(path.stem for path in (recording / "truth" / "background").glob("*.png"))
         if not stamps:
-            raise DatasetError(
-                f"{recording}/truth/background: holds no PNG; there is nothing to compare with"
-            )
+            raise DatasetError(f"{recording}/truth/background: holds no PNG; there is nothing to compare with")
         reference = _same_reference(recording, output)
         for stamp in stamps:
             row = name if name and len(stamps) == 1 else "/".join(filter(None, (name, stamp)))

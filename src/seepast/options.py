@@ -44,7 +44,9 @@ def _checked(owner: str, f: dataclasses.Field, value: Any) -> Any:
         if kind is int and float(value) != number:
             raise ValueError
     except (TypeError, ValueError):
-        raise OptionsError(f"option {name}: {value!r} is not {'a whole number' if kind is int else 'a number'}") from None
+        raise OptionsError(
+            f"option {name}: {value!r} is not {'a whole number' if kind is int else 'a number'}"
+        ) from None
     low, high = f.metadata["low"], f.metadata["high"]
     if not ((low is None or number >= low) and (high is None or number <= high)):  # also refuses NaN
         raise OptionsError(f"option {name}: {number} is outside {low} .. {high} {f.metadata['unit']}".rstrip())
@@ -65,22 +67,23 @@ class SupportOptions(StageOptions):
     """Sparse sure matches (stage "support")."""
 
     grid: int = option(5, "px", 1, 64, "spacing of the points that are tried")
-    texture: int = option(60, "grey levels", 0, 4096, "least sum of |gradient| over a descriptor")
+    texture: int = option(25, "grey levels", 0, 4096, "least sum of |gradient| over a descriptor")
     uniqueness: float = option(0.85, "", 0, 1, "best cost / best cost elsewhere must be below this")
-    max_cost: float = option(14.0, "grey levels", 0, 255, "largest mean |difference| of matched gradients")
-    left_right: int = option(1, "px", 0, 16, "largest disagreement of the match back, px between the neighbours")
+    max_cost: float = option(28.0, "grey levels", 0, 255, "largest mean |difference| of matched gradients")
+    left_right: int = option(0, "px", 0, 16, "largest disagreement of the match back, px between the neighbours")
     window: int = option(25, "px", 1, 512, "half width of the square in which points must agree")
     similar: float = option(5.0, "px", 0, 64, "disparities closer than this agree")
-    min_agreeing: int = option(5, "points", 0, 1000, "points with fewer agreeing neighbours are dropped")
+    min_agreeing: int = option(2, "points", 0, 1000, "points with fewer agreeing neighbours are dropped")
 
 
 @dataclass(frozen=True)
 class PriorOptions(StageOptions):
     """Piecewise planar prior over the Delaunay triangulation (stage "prior")."""
 
-    gamma: float = option(0.05, "", 1e-9, 100, "uniform part of p(d|T,x)")
-    sigma: float = option(1.0, "px", 0.05, 64, "spread of the Gaussian part around the plane mean mu")
-    radius: float = option(3.0, "px", 0, 256, "candidates reach this far around mu")
+    gamma: float = option(0.005, "", 1e-9, 100, "uniform part of p(d|T,x)")
+    sigma: float = option(2.0, "px", 0.05, 64, "spread of the Gaussian part around the plane mean mu")
+    radius: float = option(6.0, "px", 0, 256, "candidates reach this far around mu")
+    max_step: float = option(8.0, "px", 0, 4096, "triangles whose corners differ more bridge a depth edge, not a plane")
     neighbour_radius: float = option(0.5, "px", 0, 64, "and this far around every support point of the 3x3 cells")
 
 
@@ -88,8 +91,10 @@ class PriorOptions(StageOptions):
 class DisparityOptions(StageOptions):
     """M-step (stage "disparity")."""
 
-    beta: float = option(0.003, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
-    lone_variance: float = option(600.0, "grey level^2", 0, 1e6, "stands for the variance that 0 or 1 rays lack")
+    beta: float = option(0.03, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
+    median_passes: int = option(5, "passes", 0, 20, "5x5 medians of the disparity")
+    lone_variance: float = option(200.0, "grey level^2", 0, 1e6, "stands for the variance that a lone ray lacks")
+    unseen_variance: float = option(800.0, "grey level^2", 0, 1e6, "the same where no ray is static")
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ class SegmentationOptions(StageOptions):
     """Labels from the static prior, and the E-step (stage "segmentation")."""
 
     threshold: float = option(0.7, "", 0, 1, "a ray starts as static where its prior P(static) is at least this")
-    beta: float = option(0.002, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
+    beta: float = option(0.00015, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
     floor: float = option(0.02, "", 1e-6, 0.5, "the prior is never surer than this, so evidence can overrule it")
     outlier_cost: float = option(0.0, "nats", 0, 100, "extra cost of calling a ray dynamic")
     max_rounds: int = option(3, "rounds", 1, 20, "EM rounds at most; it stops when the labels stand still")

@@ -26,7 +26,12 @@ STAGES = ("rectify", "describe", "support", "prior", "disparity", "segmentation"
 
 
 def see_past(
-    frame: Frame, geometry: ArrayGeometry, options: Options, backend: ModuleType, dynamic_only: bool, clock: Clock
+    frame: Frame,
+    geometry: ArrayGeometry,
+    options: Options,
+    backend: ModuleType,
+    dynamic_only: bool,
+    clock: Clock,
 ) -> tuple[dict[str, np.ndarray], int]:
     """One instant of rectified views -> static scene, labels and refined masks (all in rectified pixels).
 
@@ -37,9 +42,9 @@ def see_past(
     static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
 
     with clock("describe"):  # f(x): 3x3 Sobel responses, sampled 16 times around the pixel
-        gradients = backend.describe(frame.grey)
+        features = backend.describe(frame.grey)
     with clock("support"):  # sparse sure matches on static pixels, of all cameras, in the reference view
-        points = backend.support(gradients, static, geometry, grid, options.support)
+        points = backend.support(features, static, geometry, grid, options.support)
     with clock("prior"):  # p(d|T,x) ~ gamma + exp(-(d - mu)^2 / 2 sigma^2), mu on the Delaunay planes
         prior = backend.prior(points, static.shape[1:], grid, options.prior)
 
@@ -48,9 +53,9 @@ def see_past(
         keep = static[geometry.reference]  # the reference sees these itself
         wanted = ~keep if dynamic_only else np.ones_like(keep)
         with clock("disparity"):  # M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d|T,x)
-            d = backend.disparity(gradients, static, geometry, prior, grid, wanted, options)
+            d = backend.disparity(features, static, geometry, prior, grid, wanted, options)
         with clock("segmentation"):  # E-step: argmin_S beta Var_S - sum_k log p(S^k|S_P^k)
-            labels, posterior = backend.segmentation(gradients, frame.dynamic, geometry, d, wanted, options)
+            labels, posterior = backend.segmentation(features, frame.dynamic, geometry, d, wanted, options)
         with clock("masks"):  # labels of (reference pixel, camera) pairs -> each camera's own pixels
             dynamic, refined = backend.masks(labels, posterior, geometry, d, wanted, frame.dynamic, static)
         still = np.array_equal(refined, static)

@@ -92,16 +92,12 @@ class Rectification:
             self._check_size(camera, mask, "mask")
             fixed = self._fixed[camera]
             if fixed is not None:
-                mask = cv2.remap(
-                    mask, *fixed, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-                )
+                mask = cv2.remap(mask, *fixed, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             dynamic = np.minimum(mask, MAX_DYNAMIC)
         no_ray = self._no_ray[camera]
         return dynamic if no_ray is None else np.maximum(dynamic, no_ray, out=dynamic)
 
-    def masks_to_input(
-        self, camera: int, rectified_mask: np.ndarray, input_mask: np.ndarray | None
-    ) -> np.ndarray:
+    def masks_to_input(self, camera: int, rectified_mask: np.ndarray, input_mask: np.ndarray | None) -> np.ndarray:
         """A refined mask, uint8 [H, W] of 255 * P(dynamic), in `camera`'s own pixels, uint8 [h, w].
 
         Sampled bilinearly; pixels which the rectified view does not reach keep the input mask's value (0 if
@@ -113,9 +109,7 @@ class Rectification:
         if camera not in self._to_input:
             self._to_input[camera] = _inverse_map(self, camera)
         fixed_xy, fixed_fraction, reached = self._to_input[camera]
-        mask = cv2.remap(
-            rectified_mask, fixed_xy, fixed_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
+        mask = cv2.remap(rectified_mask, fixed_xy, fixed_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         if input_mask is None:
             return np.where(reached, mask, np.uint8(0))
         self._check_size(camera, input_mask, "mask")
@@ -175,15 +169,12 @@ def _rectify(rig: Rig, reference: int) -> Rectification:
     focal, center, size = _intrinsics(rig, reference, rotations)
     centers = rig.centers
     positions = (centers - centers[reference]) @ rectified_from_rig.T
-    positions[abs(positions) < 1e-9 * abs(positions).max()] = (
-        0.0  # rounding: a straight array is exactly straight
-    )
+    positions[abs(positions) < 1e-9 * abs(positions).max()] = 0.0  # rounding: a straight array is exactly straight
     geometry = ArrayGeometry(focal, center, size, positions, reference)
     sources = [_source(c, r, geometry) for c, r in zip(rig.cameras, rotations, strict=True)]
     maps = tuple(_masked_map(c, s) for c, s in zip(rig.cameras, sources, strict=True))
     fixed = tuple(
-        None if s is None else _fixed_point(s, c.resolution)
-        for c, s in zip(rig.cameras, sources, strict=True)
+        None if s is None else _fixed_point(s, c.resolution) for c, s in zip(rig.cameras, sources, strict=True)
     )
     no_ray = tuple(None if m is None else np.isnan(m[0]) * np.uint8(NO_RAY) for m in maps)
     error = _closed_loop_error(rig.cameras, rotations, geometry, sources)
@@ -393,8 +384,7 @@ def measured_row_error(images: Sequence[np.ndarray], geometry: ArrayGeometry) ->
     """
     order = np.argsort(geometry.positions[:, 0])
     residuals = [
-        _row_residuals(_grey(images[a]), _grey(images[b]), geometry.seen_from(a), b)
-        for a, b in pairwise(order)
+        _row_residuals(_grey(images[a]), _grey(images[b]), geometry.seen_from(a), b) for a, b in pairwise(order)
     ]
     merged = np.concatenate(residuals)
     return float(np.median(abs(merged))) if len(merged) >= MIN_MATCHES else float("nan")
@@ -422,16 +412,10 @@ def _row_residuals(first: np.ndarray, second: np.ndarray, geometry: ArrayGeometr
 def _sift_matches(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """float32[N, 2] pixels of mutual, distinctive matches."""
     detector: Any = cv2.SIFT.create(nfeatures=2000)
-    (keys1, descriptors1), (keys2, descriptors2) = (
-        detector.detectAndCompute(image, None) for image in (first, second)
-    )
+    (keys1, descriptors1), (keys2, descriptors2) = (detector.detectAndCompute(image, None) for image in (first, second))
     if descriptors1 is None or descriptors2 is None or len(keys2) < 2:
         return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
-    best = [
-        m
-        for m, *n in cv2.BFMatcher().knnMatch(descriptors1, descriptors2, 2)
-        if m.distance < 0.75 * n[0].distance
-    ]
+    best = [m for m, *n in cv2.BFMatcher().knnMatch(descriptors1, descriptors2, 2) if m.distance < 0.75 * n[0].distance]
     back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(descriptors2, descriptors1)}
     mutual = [m for m in best if back.get(m.trainIdx) == m.queryIdx]
     start = np.array([keys1[m.queryIdx].pt for m in mutual], np.float32).reshape(-1, 2)

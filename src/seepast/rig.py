@@ -103,9 +103,7 @@ class Rig:
         names = [camera.name for camera in cameras]
         for name in names:
             if names.count(name) > 1:
-                raise RigError(
-                    f"{names.count(name)} cameras are named '{name}'; give every camera its own name"
-                )
+                raise RigError(f"{names.count(name)} cameras are named '{name}'; give every camera its own name")
         if not np.array_equal(cameras[0].cam_from_rig, np.eye(4)):
             old_rig_from_rig = inverse_pose(cameras[0].cam_from_rig)
             cameras = tuple(
@@ -198,9 +196,7 @@ class Rig:
                 entry["T_cn_cnm1"] = step.tolist()
             entries[f"cam{n}"] = entry
         try:
-            Path(path).write_text(
-                yaml.safe_dump(entries, default_flow_style=None, width=110), encoding="utf-8"
-            )
+            Path(path).write_text(yaml.safe_dump(entries, default_flow_style=None, width=110), encoding="utf-8")
         except OSError as error:
             raise OutputError(f"{path}: cannot write the rig: {error.strerror or error}") from error
 
@@ -255,9 +251,7 @@ def _check_places(cameras: Sequence[Camera]) -> None:
 def _resolution(name: str, value: Any) -> tuple[int, int]:
     numbers = _numbers(value, f"{name}: resolution", 2)
     if not all(v > 0 and v.is_integer() for v in numbers):
-        raise RigError(
-            f"{name}: resolution {list(numbers)} must be two positive whole numbers: [width, height]"
-        )
+        raise RigError(f"{name}: resolution {list(numbers)} must be two positive whole numbers: [width, height]")
     return int(numbers[0]), int(numbers[1])
 
 
@@ -334,8 +328,7 @@ def _step(name: str, entry: dict[str, Any], previous: dict[str, Any]) -> np.ndar
     previous_from_imu = _cam_from_imu(f"the camera before {name}", previous)
     if this_from_imu is None or previous_from_imu is None:
         raise RigError(
-            f"{name} has no extrinsics: it needs T_cn_cnm1, or T_cam_imu (or T_imu_cam) in it and in the "
-            "camera before"
+            f"{name} has no extrinsics: it needs T_cn_cnm1, or T_cam_imu (or T_imu_cam) in it and in the camera before"
         )
     return this_from_imu @ inverse_pose(previous_from_imu)
 

@@ -16,12 +16,14 @@ from .reference import (
     FOREGROUND_WEIGHT,
     NEARER,
     NO_PLANE,
+    clear_of_people,
     consistent,
     fill_gaps,
     into_reference,
     median3,
     merged,
     neighbour_camera,
+    smoothed,
 )
 
 set_threads = _core.set_threads
@@ -29,7 +31,7 @@ set_threads = _core.set_threads
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """gradients int8 [K, 2, H, W]; descriptors uint8 [K, H, W, 16], the same samples gathered, biased by 128."""
+    """gradients int8 [K, 2, H, W]; descriptors uint8 [K, H, W, 16], the same sampled, biased by 128."""
 
     gradients: np.ndarray
     descriptors: np.ndarray
@@ -43,26 +45,39 @@ def describe(grey: np.ndarray) -> Features:
 
 
 def support(
-    features: Features, static: np.ndarray, geometry: ArrayGeometry, grid: DisparityGrid, options: SupportOptions
+    features: Features,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    grid: DisparityGrid,
+    options: SupportOptions,
 ) -> np.ndarray:
-    shape = static.shape[1:]
+    clear = clear_of_people(static)
+    found = [
+        into_reference(static, geometry, base, _match_camera(features, clear, geometry, base, grid, options))
+        for base in range(geometry.cameras)
+    ]
+    return consistent(merged(np.concatenate(found), static.shape[1:], options), options)
+
+
+def _match_camera(
+    features: Features,
+    clear: np.ndarray,
+    geometry: ArrayGeometry,
+    base: int,
+    grid: DisparityGrid,
+    options: SupportOptions,
+) -> np.ndarray:
+    partner = neighbour_camera(geometry, base)
     params = _core.SupportParams(
         options.grid, options.texture, options.left_right, options.uniqueness, options.max_cost
     )
-    buffer = np.empty((-(-shape[0] // options.grid) * -(-shape[1] // options.grid), 4), np.float32)
-    found = []
-    for base in range(geometry.cameras):
-        view, partner = geometry.seen_from(base), neighbour_camera(geometry, base)
-        back = geometry.seen_from(partner).offsets
-        count = _core.support_of_camera(
-            view.offsets, back, *_center(geometry), base, partner, features.descriptors, _bytes(static),
-            _grid(grid), params, buffer,
-        )  # fmt: skip
-        x, y, d, variance = buffer[:count].T
-        found.append(
-            into_reference(static, geometry, base, x.astype(np.int32), y.astype(np.int32), d.copy(), variance.copy())
-        )
-    return consistent(merged(np.concatenate(found), shape, options), options)
+    tried = np.prod([-(-size // options.grid) for size in clear.shape[1:]])
+    points = np.empty((tried, 4), np.float32)
+    count = _core.support_of_camera(
+        geometry.seen_from(base).offsets, geometry.seen_from(partner).offsets, *geometry.center, base, partner,
+        features.descriptors, _bytes(clear), _grid(grid), params, points,
+    )  # fmt: skip
+    return points[:count]
 
 
 def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, options: PriorOptions) -> Prior:
@@ -71,7 +86,7 @@ def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, optio
         return Prior(np.full(shape, grid.first, np.int32), np.ones((rows, columns, grid.count), np.uint8))
     corners = with_corners(points, shape)
     mean = np.empty(shape, np.int32)
-    _core.plane_means(corners, delaunay(corners, shape), NO_PLANE, mean)
+    _core.plane_means(corners, delaunay(corners, shape), options.max_step, NO_PLANE, mean)
     cells = np.zeros((rows, columns, grid.count), np.uint8)
     _core.cell_candidates(np.ascontiguousarray(points), _grid(grid), options.neighbour_radius, cells)
     last = grid.first + grid.step * (grid.count - 1)
@@ -93,10 +108,10 @@ def disparity(
     out = np.empty((height, width), np.float32)
     _core.disparity(
         geometry.offsets, *_center(geometry), phases, prior.mean, prior.cells, _grid(grid), _bytes(wanted),
-        options.disparity.beta, options.disparity.lone_variance, int(EIGHTHS * options.prior.radius),
+        options.disparity.beta, options.disparity.lone_variance, options.disparity.unseen_variance, int(EIGHTHS * options.prior.radius),
         prior_energy(options.prior), out,
     )  # fmt: skip
-    return out
+    return smoothed(out, prior, wanted, options.disparity.median_passes)
 
 
 def segmentation(
@@ -127,7 +142,14 @@ def masks(
 ) -> tuple[np.ndarray, np.ndarray]:
     dynamic, static = dynamic.copy(), static.copy()
     _core.masks(
-        geometry.offsets, *_center(geometry), labels, posterior, disparity, _bytes(wanted), dynamic, _bytes(static)
+        geometry.offsets,
+        *_center(geometry),
+        labels,
+        posterior,
+        disparity,
+        _bytes(wanted),
+        dynamic,
+        _bytes(static),
     )
     return dynamic, static
 

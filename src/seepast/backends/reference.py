@@ -4,7 +4,7 @@ Every other backend has these functions with these names, arguments and results,
 bit for bit. Symbols are those of the paper and DESIGN.md: K cameras, reference pixel x, its ray x^k = W_k(x, d)
 in camera k, disparity d over the full array, static label S^k.
 
-Common shapes:  gradients int8 [K, 2, H, W];  dynamic uint8 [K, H, W] (254ths of P(dynamic), 255 = NO_RAY);
+Common shapes:  features: what `describe` returns, gradients int8 [K, 2, H, W];  dynamic uint8 [K, H, W] (254ths of P(dynamic), 255 = NO_RAY);
 static bool [K, H, W] (label of a camera's own pixel);  labels uint16 [H, W] (bit k: ray k of this reference
 pixel is static);  points float32 [N, 3] (x, y, d in the reference view).
 """
@@ -23,22 +23,43 @@ from ..triangulation import delaunay, with_corners
 
 # The descriptor: where around the pixel which Sobel response is sampled, as (dy, dx). 12 horizontal and 4
 # vertical gradients, since a horizontal array matches along x (Geiger et al. 2010, section 3.1).
-PATTERN_DU = ((-2, 0), (-1, -2), (-1, 0), (-1, 2), (0, -1), (0, 0), (0, 0), (0, 1), (1, -2), (1, 0), (1, 2), (2, 0))
+PATTERN_DU = (
+    (-2, 0),
+    (-1, -2),
+    (-1, 0),
+    (-1, 2),
+    (0, -1),
+    (0, 0),
+    (0, 0),
+    (0, 1),
+    (1, -2),
+    (1, 0),
+    (1, 2),
+    (2, 0),
+)
 PATTERN_DV = ((-1, 0), (0, -1), (0, 1), (1, 0))
 SAMPLES = len(PATTERN_DU) + len(PATTERN_DV)
-SUPPORT_BLOCK = ((-2, -2), (-2, 2), (2, -2), (2, 2))  # support points compare the descriptors of these four pixels
+SUPPORT_BLOCK = (
+    (-2, -2),
+    (-2, 2),
+    (2, -2),
+    (2, 2),
+)  # support points compare the descriptors of these four pixels
 
 
 # ---------------------------------------------------------------------------------------------- describe
 
 
 def describe(grey: np.ndarray) -> np.ndarray:
-    """Sobel responses, the stuff of the descriptors: uint8 [K, H, W] -> int8 [K, 2, H, W], (du, dv) / 4."""
+    """Sobel responses, the stuff of the descriptors: uint8 [K, H, W] -> int8 [K, 2, H, W], (du, dv) / 2.
+
+    Cut at +-127, edges do not need more; halved only, because planes are won or lost on weak texture.
+    """
     out = np.empty((len(grey), 2, *grey.shape[1:]), np.int8)
     for k, image in enumerate(grey):
         for g, (dx, dy) in enumerate(((1, 0), (0, 1))):
-            sobel = cv2.Sobel(image, cv2.CV_16S, dx, dy, ksize=3, borderType=cv2.BORDER_REPLICATE)
-            out[k, g] = np.clip(sobel >> 2, -127, 127)
+            response = cv2.Sobel(image, cv2.CV_16S, dx, dy, ksize=3, borderType=cv2.BORDER_REPLICATE)
+            out[k, g] = np.clip(response >> 1, -127, 127)
     return out
 
 
@@ -101,14 +122,14 @@ def descriptor(gradients: np.ndarray, xq: np.ndarray, row: np.ndarray) -> np.nda
 def variance_map(
     gradients: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, d: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Var_S(f(x^1) ... f(x^K)) of every reference pixel at one disparity, and whether it exists.
+    """Var_S(f(x^1) ... f(x^K)) of every reference pixel at one disparity, and the static rays it rests on.
 
     Every one of the 16 samples takes the variance over the rays that are static *at that sample*, so that a
     descriptor that reaches over a person's edge is not spoilt by the person; samples with fewer than two static
-    rays are left out and the sum scaled up to 16. The variance exists where the pixel itself has two static
-    rays: one ray, or none, says nothing about d (METHOD "Traps").
+    rays are left out and the sum scaled up to 16.
 
-    Returns float32 [H, W] grey levels^2, bool [H, W].
+    Returns float32 [H, W] grey levels^2, and int32 [H, W] the pixel's own number of static rays n: the variance
+    exists where n >= 2.
     """
     height, width = static.shape[1:]
     y, x = np.mgrid[:height, :width]
@@ -131,7 +152,7 @@ def variance_map(
     summed = sum(shifted(packed[g], dy, dx) for g, p in enumerate((PATTERN_DU, PATTERN_DV)) for dy, dx in p)
     count = np.maximum(summed // SAMPLE_KNOWN, 1).astype(np.float32)
     scale = np.float32(SAMPLES) / count
-    return (summed % SAMPLE_KNOWN).astype(np.float32) * scale, known
+    return (summed % SAMPLE_KNOWN).astype(np.float32) * scale, n
 
 
 SAMPLE_KNOWN = 1 << 24  # room for 16 samples of at most 2^14 grey levels^2 below it
@@ -151,21 +172,41 @@ def shifted(plane: np.ndarray, dy: int, dx: int) -> np.ndarray:
 
 
 def support(
-    gradients: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, grid: DisparityGrid, options: SupportOptions
+    features: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    grid: DisparityGrid,
+    options: SupportOptions,
 ) -> np.ndarray:
     """Sparse sure matches on static pixels, in the reference view: float32 [N, 3] (x, y, d), whole-pixel x, y.
 
     Every camera is matched with its neighbour in the array; what the reference does not see itself is
     reprojected into it. Duplicates merge, inconsistent points go.
     """
-    found = []
-    for base in range(geometry.cameras):
-        view = geometry.seen_from(base)
-        partner = neighbour_camera(geometry, base)
-        x, y, d = match_grid(gradients, static, view, partner, grid, options)
-        d, variance = refine(gradients, static, view, grid, partner, x, y, d)
-        found.append(into_reference(static, geometry, base, x, y, d, variance))
+    clear = clear_of_people(static)
+    found = [
+        into_reference(static, geometry, base, match_camera(features, clear, geometry, base, grid, options))
+        for base in range(geometry.cameras)
+    ]
     return consistent(merged(np.concatenate(found), static.shape[1:], options), options)
+
+
+def match_camera(gradients, clear, geometry, base, grid, options) -> np.ndarray:
+    """Support points of camera `base` in its own view: float32 [N, 4] (x, y, d, variance)."""
+    view, partner = geometry.seen_from(base), neighbour_camera(geometry, base)
+    x, y, d = match_grid(gradients, clear, view, partner, grid, options)
+    d, variance = refine(gradients, clear, view, grid, partner, x, y, d)
+    return np.stack([x, y, d, variance], axis=1).astype(np.float32)
+
+
+BLOCK_REACH = 4  # the four descriptors of a support point reach 2 + 2 px
+
+
+def clear_of_people(static: np.ndarray) -> np.ndarray:
+    """Static pixels whose whole support block is static: bool [K, H, W]. A block that reaches over a person's
+    edge would give the background the person's disparity."""
+    square = np.ones((2 * BLOCK_REACH + 1,) * 2, np.uint8)
+    return np.stack([cv2.erode(view.view(np.uint8), square) for view in static]).astype(bool)
 
 
 def neighbour_camera(geometry: ArrayGeometry, camera: int) -> int:
@@ -175,7 +216,7 @@ def neighbour_camera(geometry: ArrayGeometry, camera: int) -> int:
     return int(order[place + 1] if place + 1 < len(order) else order[place - 1])
 
 
-SUPPORT_MARGIN = 5  # the block of four descriptors reaches 2 + 2 px, and one more for their interpolation
+SUPPORT_MARGIN = BLOCK_REACH + 1  # so that interpolation stays in the image too
 
 
 def within_margin(x: np.ndarray, y: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -275,17 +316,17 @@ def ray_variance(gradients, static, view, x, y, d) -> np.ndarray:
     return np.where(n >= 2, spread.astype(np.float32) * (inverse * inverse), np.float32(np.inf))
 
 
-def into_reference(static, geometry, base, x, y, d, variance) -> np.ndarray:
-    """Points of camera `base` as (x, y, d, variance) of the reference; other cameras' only where it is blind."""
+def into_reference(static, geometry, base, points) -> np.ndarray:
+    """Points (x, y, d, variance) of camera `base` in the reference; other cameras' only where it is blind."""
     view, reference = geometry.seen_from(base), geometry.reference
-    if base != reference:
-        px, py = rounded_ray(view, reference, x, y, d)
-        # depth Z - bz: the same point's disparity in the reference
-        d = d / (np.float32(1) - d * view.offsets[reference, 2])
-        keep = (px >= 0) & (px < static.shape[2]) & (py >= 0) & (py < static.shape[1])
-        keep[keep] = ~static[reference, py[keep], px[keep]]
-        x, y, d, variance = px[keep], py[keep], d[keep], variance[keep]
-    return np.stack([x, y, d, variance], axis=1).astype(np.float32)
+    if base == reference:
+        return points
+    x, y, d, variance = points.T
+    px, py = rounded_ray(view, reference, x.astype(np.int32), y.astype(np.int32), d)
+    d = d / (np.float32(1) - d * view.offsets[reference, 2])  # depth Z - bz: its disparity in the reference
+    keep = (px >= 0) & (px < static.shape[2]) & (py >= 0) & (py < static.shape[1])
+    keep[keep] = ~static[reference, py[keep], px[keep]]
+    return np.stack([px, py, d, variance], axis=1).astype(np.float32)[keep]
 
 
 def merged(points: np.ndarray, shape: tuple[int, int], options: SupportOptions) -> np.ndarray:
@@ -326,7 +367,7 @@ def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, optio
     if not len(points):
         return Prior(np.full(shape, grid.first, np.int32), np.ones((rows, columns, grid.count), np.uint8))
     corners = with_corners(points, shape)
-    mean = plane_means(corners, delaunay(corners, shape), shape)
+    mean = plane_means(corners, delaunay(corners, shape), shape, options.max_step)
     last = grid.first + grid.step * (grid.count - 1)
     return Prior(fill_gaps(mean).clip(grid.first, last), cell_candidates(points, (rows, columns), grid, options))
 
@@ -334,10 +375,11 @@ def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, optio
 NO_PLANE = -(1 << 30)
 
 
-def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int], max_step: float) -> np.ndarray:
     """mu(x) in eighths of a pixel, int32 [H, W]: linear over every triangle; NO_PLANE outside all of them.
 
-    A pixel on a shared edge belongs to the earlier triangle.
+    A triangle whose corners differ by more than max_step px bridges a depth edge, where there is no plane: there
+    mu is the disparity of the nearest corner. A pixel on a shared edge belongs to the earlier triangle.
     """
     mean = np.full(shape, NO_PLANE, np.int32)
     for corners in points[triangles].astype(np.float64):
@@ -345,8 +387,6 @@ def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int
         area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
         if area == 0:
             continue
-        slope_x = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area
-        slope_y = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area
         left, right = int(min(x0, x1, x2)), int(max(x0, x1, x2))
         top, bottom = int(min(y0, y1, y2)), int(max(y0, y1, y2))
         y, x = np.mgrid[top : bottom + 1, left : right + 1].astype(np.float64)
@@ -354,7 +394,13 @@ def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int
         e1 = (x2 - x1) * (y - y1) - (y2 - y1) * (x - x1)
         e2 = (x0 - x2) * (y - y2) - (y0 - y2) * (x - x2)
         covered = (e0 * area >= 0) & (e1 * area >= 0) & (e2 * area >= 0)
-        d = d0 + slope_x * (x - x0) + slope_y * (y - y0)
+        if max(d0, d1, d2) - min(d0, d1, d2) > max_step:
+            distances = [(x - px) ** 2 + (y - py) ** 2 for px, py, _ in corners]
+            d = corners[np.argmin(distances, axis=0), 2]
+        else:
+            slope_x = ((d1 - d0) * (y2 - y0) - (d2 - d0) * (y1 - y0)) / area
+            slope_y = ((d2 - d0) * (x1 - x0) - (d1 - d0) * (x2 - x0)) / area
+            d = d0 + slope_x * (x - x0) + slope_y * (y - y0)
         window = mean[top : bottom + 1, left : right + 1]
         fresh = covered & (window == NO_PLANE)
         window[fresh] = np.floor(8 * d[fresh] + 0.5).astype(np.int32)
@@ -386,7 +432,7 @@ def cell_candidates(points, cells: tuple[int, int], grid: DisparityGrid, options
 
 
 def disparity(
-    gradients: np.ndarray,
+    features: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
     prior: Prior,
@@ -396,13 +442,15 @@ def disparity(
 ) -> np.ndarray:
     """M-step: argmin over the candidates of E(d) = beta Var_S - log[gamma + exp(-(d - mu)^2 / (2 sigma^2))].
 
-    Where fewer than two rays are static the variance does not exist and options.disparity.lone_variance stands
-    for it, the same for one ray and for none: then the prior decides, and neither wins by having fewer rays.
+    One static ray has no variance, and no ray shows nothing (METHOD "Traps"): options.disparity.lone_variance and
+    unseen_variance stand for it, about what a true match has, so that neither wins by having fewer rays; among
+    such candidates the prior decides.
 
     Returns float32 [H, W] px; ties go to the farther; 0 where `wanted` bool [H, W] is false.
     """
     shape = static.shape[1:]
-    beta, lone = np.float32(options.disparity.beta), np.float32(options.disparity.lone_variance)
+    beta = np.float32(options.disparity.beta)
+    lone, unseen = np.float32(options.disparity.lone_variance), np.float32(options.disparity.unseen_variance)
     table = prior_energy(options.prior)
     best = np.full(shape, np.inf, np.float32)
     found = np.zeros(shape, np.float32)
@@ -412,19 +460,28 @@ def disparity(
         candidate = wanted & ((away <= int(EIGHTHS * options.prior.radius)) | (of_cell > 0))
         if not candidate.any():
             continue
-        variance, known = variance_map(gradients, static, geometry, d)
-        energy = beta * np.where(known, variance, lone) + table[np.minimum(away, len(table) - 1)]
+        variance, n = variance_map(features, static, geometry, d)
+        variance = np.where(n >= 2, variance, np.where(n == 1, lone, unseen))
+        energy = beta * variance + table[np.minimum(away, len(table) - 1)]
         better = candidate & (energy < best)
         best = np.where(better, energy, best)
         found = np.where(better, d, found)
-    return found
+    return smoothed(found, prior, wanted, options.disparity.median_passes)
+
+
+def smoothed(disparity: np.ndarray, prior: Prior, wanted: np.ndarray, passes: int) -> np.ndarray:
+    """5x5 medians, repeated, against the single wrong pixels of a pixelwise argmin; the prior stands around `wanted`."""
+    found = np.where(wanted, disparity, prior.mean.astype(np.float32) / EIGHTHS)
+    for _ in range(passes):
+        found = cv2.medianBlur(found, 5)
+    return np.where(wanted, found, np.float32(0))
 
 
 # -------------------------------------------------------------------------------------------- segmentation
 
 
 def segmentation(
-    gradients: np.ndarray,
+    features: np.ndarray,
     dynamic: np.ndarray,
     geometry: ArrayGeometry,
     disparity: np.ndarray,
@@ -445,7 +502,7 @@ def segmentation(
     f, exists, p = [], [], []
     for k in range(K):
         xq, row = quarter_positions(geometry, k, x, y, disparity)
-        f.append(descriptor(gradients[k], xq, row))
+        f.append(descriptor(features[k], xq, row))
         row_, left, right = neighbours(xq, row, (height, width))
         p.append(np.maximum(dynamic[k, row_, left], dynamic[k, row_, right]))
         exists.append(inside(xq, row, (height, width)) & (p[k] != NO_RAY))
@@ -469,12 +526,12 @@ def label_energies(f, exists, p, options) -> np.ndarray:
         prior = np.zeros(p[0].shape, int)
         for k in range(K):
             cost = costs[s >> k & 1][np.minimum(p[k], 254)]
-            prior += np.where(exists[k], cost, IMPOSSIBLE if s >> k & 1 else 0)
+            prior += np.where(exists[k], cost, IMPOSSIBLE if s >> k & 1 else np.int64(0))
         out[..., s] = NATS * beta * variance + prior
     return out
 
 
-IMPOSSIBLE = 1 << 40
+IMPOSSIBLE = np.int64(1 << 40)
 
 
 def flipped_posterior(labels, energy, exists, p) -> np.ndarray:

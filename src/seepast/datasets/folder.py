@@ -92,12 +92,8 @@ def _check_cameras(path: Path, names: tuple[str, ...]) -> None:
     rig_file = path / RIG_FILE
     for name in names:
         if not (path / name).is_dir():
-            raise DatasetError(
-                f"{path / name}: missing, but {rig_file} lists it; add its images, or drop it there"
-            )
-    there = {
-        p.name for p in path.iterdir() if p.is_dir() and p.name.startswith("cam") and p.name[3:].isdigit()
-    }
+            raise DatasetError(f"{path / name}: missing, but {rig_file} lists it; add its images, or drop it there")
+    there = {p.name for p in path.iterdir() if p.is_dir() and p.name.startswith("cam") and p.name[3:].isdigit()}
     for name in sorted(there - set(names)):
         raise DatasetError(f"{path / name}: {rig_file} does not list it; calibrate it, or move it away")
 
@@ -118,8 +114,7 @@ def _common_stamps(path: Path, names: tuple[str, ...]) -> tuple[str, ...]:
     partial = set.union(*per_camera.values()) - everywhere
     if not everywhere:
         raise DatasetError(
-            f"{path}: no stamp is there for all of {', '.join(names)}; the images of one instant must "
-            "share one name"
+            f"{path}: no stamp is there for all of {', '.join(names)}; the images of one instant must share one name"
         )
     if partial:
         first = min(partial)
@@ -148,9 +143,7 @@ def _masks_folder(path: Path, masks: str | None) -> Path | None:
 def _check_masks_present(folder: Path, names: tuple[str, ...], stamps: Sequence[str]) -> None:
     for name in names:
         if not (folder / name).is_dir():
-            raise DatasetError(
-                f"{folder / name}: missing; every camera needs masks, black where nothing is dynamic"
-            )
+            raise DatasetError(f"{folder / name}: missing; every camera needs masks, black where nothing is dynamic")
         lacking = sorted(set(stamps) - _stamps_in(folder / name))
         if lacking:
             raise DatasetError(
@@ -166,6 +159,5 @@ def _check_all_grey_or_all_color(
     if grey and len(grey) < len(names):
         color = [name for name in names if name not in grey]
         raise DatasetError(
-            f"{path}: frame {stamp} is grey in {', '.join(grey)} and colour in {', '.join(color)}; "
-            "convert all to one"
+            f"{path}: frame {stamp} is grey in {', '.join(grey)} and colour in {', '.join(color)}; convert all to one"
         )

@@ -28,9 +28,7 @@ def read_png8(path: Path) -> np.ndarray:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error}); restore the file") from None
     bit_depth = _bit_depth_of_whole_file(path, data)
     if bit_depth > 8:
-        raise DatasetError(
-            f"{path}: {bit_depth} bits per channel; convert it to 8 bits (scaled, not cut off) first"
-        )
+        raise DatasetError(f"{path}: {bit_depth} bits per channel; convert it to 8 bits (scaled, not cut off) first")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint8:
         raise DatasetError(f"{path}: cannot be decoded as an 8-bit PNG; copy or export it again")

@@ -25,8 +25,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         os.replace(part, path)
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error}); check permissions and free space"
-            ", then run again"
+            f"{path}: cannot be written ({error.strerror or error}); check permissions and free space, then run again"
         ) from error
     finally:
         with contextlib.suppress(OSError):

@@ -164,9 +164,7 @@ class FolderWriter:
         )
 
     def _write_camera(self, geometry: ArrayGeometry) -> None:
-        atomic.write_bytes(
-            self.out / CAMERA_FILE, camera_yaml(geometry, self.cameras, self._rotation).encode()
-        )
+        atomic.write_bytes(self.out / CAMERA_FILE, camera_yaml(geometry, self.cameras, self._rotation).encode())
 
 
 def depth_millimetres(depth: np.ndarray) -> np.ndarray:
@@ -197,15 +195,11 @@ def camera_yaml(geometry: ArrayGeometry, cameras: Sequence[str], rotation: np.nd
     )
     if rotation is not None:
         camera["rectified_from_cam"] = np.asarray(rotation, np.float64).tolist()
-        comment += (
-            "# rectified_from_cam: directions of the camera as calibrated -> directions of this view.\n"
-        )
+        comment += "# rectified_from_cam: directions of the camera as calibrated -> directions of this view.\n"
     return comment + yaml.safe_dump(camera, sort_keys=False, default_flow_style=None)
 
 
-def _figures(
-    frames: int, milliseconds: Sequence[Mapping[str, float]], covered: Sequence[float]
-) -> dict[str, Any]:
+def _figures(frames: int, milliseconds: Sequence[Mapping[str, float]], covered: Sequence[float]) -> dict[str, Any]:
     stages = list(dict.fromkeys(stage for frame in milliseconds for stage in frame))
     medians = {s: round(statistics.median(frame.get(s, 0.0) for frame in milliseconds), 3) for s in stages}
     share = round(statistics.fmean(covered), 6) if covered else None

@@ -75,9 +75,7 @@ def _body(number: int, first_texture: int, phase: float) -> Mesh:
         *_head(_by(shoulder, 0, -0.22, 0.03), skin, hair, part + 4),
     ]
     for side, swing in ((-1.0, phase), (1.0, phase + np.pi)):
-        solids += _leg(
-            _by(hip, 0.09 * side, 0.04, 0), swing, (trousers, shoes), part + (6 if side < 0 else 8)
-        )
+        solids += _leg(_by(hip, 0.09 * side, 0.04, 0), swing, (trousers, shoes), part + (6 if side < 0 else 8))
         solids += _arm(
             _by(shoulder, 0.205 * side, 0.03, 0),
             swing + np.pi,
@@ -90,8 +88,7 @@ def _body(number: int, first_texture: int, phase: float) -> Mesh:
 
 def _head(at: np.ndarray, skin: int, hair: int, part: int) -> list[Mesh]:
     eyes = [
-        limb(_by(at, x, -0.02, 0.07), _by(at, x, -0.02, 0.071), (0.013, 0.013), hair, part)
-        for x in (-0.032, 0.032)
+        limb(_by(at, x, -0.02, 0.07), _by(at, x, -0.02, 0.071), (0.013, 0.013), hair, part) for x in (-0.032, 0.032)
     ]
     return [
         limb(_by(at, 0, -0.035, 0), _by(at, 0, 0.04, 0.012), (0.086, 0.07), skin, part),
@@ -110,9 +107,7 @@ def _leg(at: np.ndarray, phase: float, look: tuple[int, int], part: int) -> list
     return [
         limb(at, knee, (0.092, 0.064), look[0], part),
         limb(knee, ankle, (0.062, 0.045), look[0], part),
-        limb(
-            _by(ankle, 0, 0.02, -0.02), _by(toe, 0, 0.035, 0), (0.045, 0.036), look[1], part + 1, flatten=0.9
-        ),
+        limb(_by(ankle, 0, 0.02, -0.02), _by(toe, 0, 0.035, 0), (0.045, 0.036), look[1], part + 1, flatten=0.9),
     ]
 
 

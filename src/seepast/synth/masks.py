@@ -11,9 +11,7 @@ KINDS = ("exact", "good", "network", "poor")
 WIDTH = 434  # image width in px that the pixel figures below are meant for; others scale
 
 
-def imperfect(
-    kind: str, parts: np.ndarray, objects: tuple[int, ...], seeds: tuple[int, int, int]
-) -> np.ndarray:
+def imperfect(kind: str, parts: np.ndarray, objects: tuple[int, ...], seeds: tuple[int, int, int]) -> np.ndarray:
     """255 * P(dynamic) uint8[H, W] of one view.
 
     kind     exact: 255 on people, 0 elsewhere

@@ -106,9 +106,7 @@ def limb(
     across /= np.linalg.norm(across)
     third = np.cross(along, across)
     height, radius, tilt = _profile(length, radii, rounded)
-    turn = np.linspace(
-        0, 2 * np.pi, segments + 1
-    )  # the seam is doubled: surface coordinates may not wrap there
+    turn = np.linspace(0, 2 * np.pi, segments + 1)  # the seam is doubled: surface coordinates may not wrap there
     ring = np.cos(turn)[:, None] * across + np.sin(turn)[:, None] * third * flatten
     out = np.cos(turn)[:, None] * across * flatten + np.sin(turn)[:, None] * third
     vertices = start + height[:, None, None] * along + radius[:, None, None] * ring

@@ -59,9 +59,7 @@ def depths(
     """
     for name, given in (("figure_depth", figure_depth), ("background_depth", background_depth)):
         if given is not None and not 0 < given[0] < given[1] < np.inf:
-            raise InputError(
-                f"{name}: {given[0]:g} .. {given[1]:g} m is no range; give MIN MAX with 0 < MIN < MAX"
-            )
+            raise InputError(f"{name}: {given[0]:g} .. {given[1]:g} m is no range; give MIN MAX with 0 < MIN < MAX")
     near = float(f"{geometry.focal_baseline / (NEAR_SHARE * geometry.size[0]):.2g}")
     life_size = figure_depth is not None or background_depth is not None
     if background_depth is None:
@@ -167,9 +165,7 @@ class Sensor:
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
-def _write(
-    folder: Path, stamp: str, names: Sequence[str], frame: Frame, sensor: Sensor, number: int, reference: int
-):
+def _write(folder: Path, stamp: str, names: Sequence[str], frame: Frame, sensor: Sensor, number: int, reference: int):
     truth = folder / "truth"
     atomic.write_png(truth / "background" / f"{stamp}.png", sensor.image(frame.background, reference, None))
     atomic.write_pfm(truth / "disparity" / f"{stamp}.pfm", frame.disparity)
@@ -181,9 +177,7 @@ def _write(
         atomic.write_png(folder / name / f"{stamp}.png", sensor.image(frame.images[k], k, number))
 
 
-def _write_masks(
-    folder: Path, stamp: str, names, frame: Frame, masks: str, objects, seeds: tuple[int, int]
-) -> None:
+def _write_masks(folder: Path, stamp: str, names, frame: Frame, masks: str, objects, seeds: tuple[int, int]) -> None:
     kinds = {"none": (), "all": segmenters.KINDS}.get(masks, (masks,))
     for kind in kinds:
         into = folder / ("masks" if len(kinds) == 1 else f"masks_{kind}")

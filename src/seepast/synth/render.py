@@ -108,8 +108,7 @@ def _shade(mesh: Mesh, hits: Hits, textures, light: Light, footprint: float, ori
     corners = mesh.faces[hits.face]
     weights = np.stack([1 - hits.u - hits.v, hits.u, hits.v], axis=1)
     normal, uv = (
-        sum(weights[:, c, None] * values[corners[:, c]] for c in range(3))
-        for values in (mesh.normals, mesh.uv)
+        sum(weights[:, c, None] * values[corners[:, c]] for c in range(3)) for values in (mesh.normals, mesh.uv)
     )
     point = np.asarray(origin, np.float32) + hits.distance[:, None] * rays
     length = np.sqrt(np.einsum("nd,nd->n", rays, rays))

@@ -62,9 +62,7 @@ def build_scene(
 class _Room:
     """Builds the solids of one room; every solid gets a part number and its own stretch of texture."""
 
-    def __init__(
-        self, rng, bank: list[Texture], depth: tuple[float, float], tangent: float, scale: float, size: int
-    ):
+    def __init__(self, rng, bank: list[Texture], depth: tuple[float, float], tangent: float, scale: float, size: int):
         self.rng, self.bank, self.tangent, self.scale = rng, bank, tangent, scale
         self.near, self.far = depth
         self.parts = 0
@@ -110,24 +108,16 @@ class _Room:
         sides = [self.paint, self.brick] if self.rng.random() < 0.5 else [self.brick, self.paint]
         height = bottom - top + 2 * t
         return [
-            self._box(
-                (0, bottom + t / 2, middle), (2 * half + 2 * t, t, depth + 2 * t), self.floor, self._part()
-            ),
-            self._box(
-                (0, top - t / 2, middle), (2 * half + 2 * t, t, depth + 2 * t), self.paint, self._part()
-            ),
+            self._box((0, bottom + t / 2, middle), (2 * half + 2 * t, t, depth + 2 * t), self.floor, self._part()),
+            self._box((0, top - t / 2, middle), (2 * half + 2 * t, t, depth + 2 * t), self.paint, self._part()),
             self._box(
                 (-half - t / 2, (top + bottom) / 2, middle),
                 (t, height, depth + 2 * t),
                 sides[0],
                 self._part(),
             ),
-            self._box(
-                (half + t / 2, (top + bottom) / 2, middle), (t, height, depth + 2 * t), sides[1], self._part()
-            ),
-            self._box(
-                (0, (top + bottom) / 2, self.far + t / 2), (2 * half, height, t), self.paper, self._part()
-            ),
+            self._box((half + t / 2, (top + bottom) / 2, middle), (t, height, depth + 2 * t), sides[1], self._part()),
+            self._box((0, (top + bottom) / 2, self.far + t / 2), (2 * half, height, t), self.paper, self._part()),
             self._box((0, (top + bottom) / 2, back - t / 2), (2 * half, height, t), self.paint, self._part()),
         ]
 
@@ -144,9 +134,7 @@ class _Room:
             width, height = rng.uniform(0.5, 1.1, 2) * s
             x = ((i + rng.uniform(0.25, 0.75)) / 2 - 1) * (half - 0.5 * s)
             at = (x, rng.uniform(-0.7, -0.1) * s, self.far - 0.02 * s)
-            solids.append(
-                self._box(at, (width, height, 0.06 * s), int(rng.choice(self.posters)), self._part())
-            )
+            solids.append(self._box(at, (width, height, 0.06 * s), int(rng.choice(self.posters)), self._part()))
         for side in (-1, 1):
             for z in np.linspace(self.near + 0.5 * (self.far - self.near), self.far - 0.8 * s, 3):
                 size = (0.06 * s, rng.uniform(0.5, 1.0) * s, rng.uniform(0.6, 1.2) * s)
@@ -183,9 +171,7 @@ class _Room:
                 thick, tall, deep = rng.uniform((0.03, 0.2, 0.18), (0.1, 0.32, 0.28)) * s
                 look = int(rng.choice([*self.rough, *self.posters, self.metal]))
                 if rng.random() < 0.85:
-                    solids.append(
-                        self._box((left + thick / 2, y - tall / 2, z), (thick, tall, deep), look, part)
-                    )
+                    solids.append(self._box((left + thick / 2, y - tall / 2, z), (thick, tall, deep), look, part))
                 left += thick + 0.004 * s
         return solids
 
@@ -208,9 +194,7 @@ class _Room:
         for i in range(3):
             at = (0, -h * (i + 0.5) / 3, -d / 2 - 0.01 * s)
             solids.append(
-                self._box(
-                    at, (w * 0.88, h * 0.28, 0.03 * s), int(rng.choice([*self.rough, self.wood[1]])), part
-                )
+                self._box(at, (w * 0.88, h * 0.28, 0.03 * s), int(rng.choice([*self.rough, self.wood[1]])), part)
             )
         return solids
 

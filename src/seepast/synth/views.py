@@ -113,9 +113,7 @@ class Recorder:
         rig_from_world = inverse_pose(self.world_from_rig(number))
         rotation, translation = rig_from_world[:3, :3], rig_from_world[:3, 3]
         room = moved(self.scene.static, rotation, translation)
-        people = [
-            moved(figure.mesh(number * INTERVAL), rotation, translation) for figure in self.scene.figures
-        ]
+        people = [moved(figure.mesh(number * INTERVAL), rotation, translation) for figure in self.scene.figures]
         light = replace(self.lamps, positions=self.lamps.positions @ rotation.T + translation)
         static, everything = Caster(room), Caster(join([room, *people]))
         shots = [view.cast(everything, self.scene.textures, light) for view in self.views]
