@@ -4,6 +4,7 @@
 // one disparity a row of a camera is read with one constant shift, which vectorises; the candidates of a
 // pixel only decide whether its energy may win.
 #include <algorithm>
+#include <cstdlib>
 #include <cstring>
 #include <limits>
 #include <vector>
@@ -14,6 +15,7 @@ namespace seepast {
 namespace {
 
 constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
+constexpr int kAnyDistance = 1 << 30;
 constexpr int kReach = 2;                         // of the descriptor's pattern
 
 SEEPAST_CLONES
@@ -55,30 +57,39 @@ void pack_row(const int16_t* __restrict n, const int16_t* __restrict sum_du, con
   for (int x = 0; x < count; ++x) dv[x] = packed_variance(n[x], sum_dv[x], sq_dv[x]);
 }
 
-// Sums the packed variances over the descriptor's pattern and lets the pixels whose candidate this is
-// compete. du and dv: the five rows around, starting kReach columns before the first pixel, like `seen`, the
-// pixel's own row.
+// Sums the packed variances over the descriptor's pattern. du and dv: the five rows around, starting kReach columns
+// before the first pixel. Where there is no variance, `out` holds what stands for it, and keeps it.
 SEEPAST_CLONES
-void compete_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv,
-                 const uint8_t* __restrict seen, int count, int away_of_zero, const int32_t* __restrict mean,
-                 const uint8_t* __restrict eligible, const DisparityParams& params, float value,
-                 float* __restrict best, float* __restrict out) {
-  const float* table = params.table;
-  const int tail = params.table_size - 1, radius = params.prior_radius;
-  const float beta = params.beta, lone = params.lone_variance, unseen = params.unseen_variance;
+void variance_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv, int count,
+                  float* __restrict out) {
   const int32_t *u0 = du[0], *u1 = du[1], *u2 = du[2], *u3 = du[3], *u4 = du[4];
   const int32_t *v1 = dv[1], *v2 = dv[2], *v3 = dv[3];
   for (int x = 0; x < count; ++x) {
     const int packed = u0[x + 2] + u1[x] + u1[x + 2] + u1[x + 4] + u2[x + 1] + 2 * u2[x + 2] + u2[x + 3] +
                        u3[x] + u3[x + 2] + u3[x + 4] + u4[x + 2] + v1[x + 2] + v2[x + 1] + v2[x + 3] +
                        v3[x + 2];
-    const float variance = u2[x + 2] ? descriptor_variance(packed) : (seen[x + 2] ? lone : unseen);
-    int away = away_of_zero - mean[x];
-    away = away < 0 ? -away : away;
-    const float energy = beta * variance + table[away < tail ? away : tail];
-    const bool wins = ((eligible[x] == 2) | ((eligible[x] == 1) & (away <= radius))) & (energy < best[x]);
-    best[x] = wins ? energy : best[x];
-    out[x] = wins ? value : out[x];
+    const float variance = descriptor_variance(packed), instead = out[x];
+    out[x] = u2[x + 2] > 0 ? variance : instead;
+  }
+}
+
+// Lets the pixels whose candidate this is compete: those whose prior mean is within their `reach` of it.
+// `prior` is scratch.
+SEEPAST_CLONES
+void compete_row(const float* __restrict variance, int count, int candidate, const int32_t* __restrict mean,
+                 const int32_t* __restrict reach, float beta, const float* __restrict table, int tail, float value,
+                 float* __restrict prior, float* __restrict best, float* __restrict out) {
+  for (int x = 0; x < count; ++x) {  // apart, since it is a gather
+    const int away = std::abs(candidate - mean[x]);
+    prior[x] = table[away < tail ? away : tail];
+  }
+  for (int x = 0; x < count; ++x) {
+    const int away = std::abs(candidate - mean[x]);
+    const float energy = beta * variance[x] + prior[x];
+    const float lowest = best[x], current = out[x];
+    const bool wins = (away <= reach[x]) & (energy < lowest);
+    best[x] = wins ? energy : lowest;
+    out[x] = wins ? value : current;
   }
 }
 
@@ -88,6 +99,9 @@ struct Sweep {
       : array(array), phases(phases), stride(array.width + 2 * kReach) {
     n.resize(3 * static_cast<size_t>(stride));
     squares.resize(2 * static_cast<size_t>(stride));
+    variance.resize(stride);
+    prior.resize(stride);
+    reach.resize(stride);
     seen.resize((kCellRows + 2 * kReach) * static_cast<size_t>(stride));
     packed.resize(2 * (kCellRows + 2 * kReach) * static_cast<size_t>(stride));
   }
@@ -117,9 +131,15 @@ struct Sweep {
   // ends.
   int add_run(int k, const RayShift& shift, int row, int x, int from, int to) {
     const int quarter = quarter_offset(ray_dx(shift, x, array.cx));
-    int end = to;  // the shift is monotonic in x: halve until it is the same at both ends
-    while (end - x > 1 && quarter_offset(ray_dx(shift, end - 1, array.cx)) != quarter)
-      end = x + (end - x) / 2;
+    // the shift is monotonic in x: search for the last column that has it
+    int end = to;
+    if (quarter_offset(ray_dx(shift, to - 1, array.cx)) != quarter) {
+      int same = x;
+      while (end - same > 1) {
+        const int middle = same + (end - same) / 2;
+        (quarter_offset(ray_dx(shift, middle, array.cx)) == quarter ? same : end) = middle;
+      }
+    }
     const int whole = quarter >> 2, phase = quarter & 3;
     const int a = std::max(x, -whole), b = std::min(end, array.width - whole);
     if (a < b) {
@@ -138,17 +158,20 @@ struct Sweep {
   int stride;
   std::vector<int16_t> n;        // rays, sum du, sum dv
   std::vector<int32_t> squares;  // of du, of dv
+  std::vector<float> variance;   // of the row that competes
+  std::vector<float> prior;      // energy of its pixels
+  std::vector<int32_t> reach;    // of its pixels
   std::vector<uint8_t> seen;     // by any ray, kCellRows + 4 rows
   std::vector<int32_t> packed;   // variances of du, dv: kCellRows + 4 rows each
 };
 
-// Which pixels of a band may take candidate i: 0 no, 1 if it lies near their prior mean, 2 yes.
+// Which candidates concern which cells of a band of rows.
 struct Band {
   Band(const Array& array, const int32_t* mean, const uint8_t* cells, const Grid& grid, const uint8_t* wanted,
        int radius, int y0)
       : width(array.width), y0(y0), y1(std::min(y0 + kCellRows, array.height)), count(grid.count) {
     columns = (width + kCellColumns - 1) / kCellColumns;
-    active.assign(static_cast<size_t>(count) * columns, 0);
+    active.assign(static_cast<size_t>(count) * columns, -1);
     for (int c = 0; c < columns; ++c) {
       int low = std::numeric_limits<int>::max(), high = std::numeric_limits<int>::min();
       for (int y = y0; y < y1; ++y)
@@ -162,54 +185,57 @@ struct Band {
       for (int i = 0; i < count; ++i) {
         const int d8 = grid.first + i * grid.step;
         const bool near_mean = d8 >= low - radius && d8 <= high + radius;
-        active[static_cast<size_t>(i) * columns + c] = of_cell[i] ? 2 : (near_mean ? 1 : 0);
+        active[static_cast<size_t>(i) * columns + c] = of_cell[i] ? kAnyDistance : (near_mean ? radius : -1);
       }
+    }
+  }
+
+  // How far from its prior mean a pixel may take candidate i; -1 where it is not wanted.
+  void reach_row(int i, int from, int to, const uint8_t* wanted, int32_t* reach) const {
+    for (int x = from; x < to; x += kCellColumns) {
+      const int32_t of_cell = active[static_cast<size_t>(i) * columns + x / kCellColumns];
+      const int end = std::min(to, x + kCellColumns);
+      for (int at = x; at < end; ++at) reach[at - from] = wanted[at - from] ? of_cell : -1;
     }
   }
 
   // Next run of columns of cells from `c` on that candidate i concerns; false if none is left.
   bool next_run(int i, int& c, int& end) const {
-    const uint8_t* row = active.data() + static_cast<size_t>(i) * columns;
-    while (c < columns && !row[c]) ++c;
+    const int32_t* row = active.data() + static_cast<size_t>(i) * columns;
+    while (c < columns && row[c] < 0) ++c;
     end = c;
-    while (end < columns && row[end]) ++end;
+    while (end < columns && row[end] >= 0) ++end;
     return c < columns;
   }
 
   int width, y0, y1, count, columns;
-  std::vector<uint8_t> active;  // [count, columns]
+  std::vector<int32_t> active;  // reach by [candidate, column of cells], -1: none of its pixels
 };
 
-void sweep_band(Sweep& sweep, const Band& band, const Grid& grid, const int32_t* mean, const uint8_t* wanted,
-                const DisparityParams& params, float* best, float* out) {
-  const Array& array = sweep.array;
-  const int width = array.width;
-  std::vector<uint8_t> eligible(width);
-  for (int i = 0; i < grid.count; ++i) {
-    const uint8_t* active = band.active.data() + static_cast<size_t>(i) * band.columns;
-    for (int c = 0, end = 0; band.next_run(i, c, end); c = end) {
-      const int from = c * kCellColumns, to = std::min(width, end * kCellColumns);
-      const int left = std::max(0, from - kReach), right = std::min(width, to + kReach);
-      for (int j = 0; j < band.y1 - band.y0 + 2 * kReach; ++j) {
-        const int y = band.y0 + j - kReach;
-        // pixels beyond the image count as unknown
-        std::memset(sweep.row(0, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
-        std::memset(sweep.row(1, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
-        if (y < 0 || y >= array.height) continue;
-        const int at = left - (from - kReach);
-        sweep.variances(y, left, right, grid.value(i), sweep.row(0, j) + at, sweep.row(1, j) + at,
-                        sweep.seen_row(j) + at);
-      }
-      for (int y = band.y0; y < band.y1; ++y) {
-        const size_t at = static_cast<size_t>(y) * width + from;
-        for (int x = from; x < to; ++x) eligible[x] = wanted[at + x - from] ? active[x / kCellColumns] : 0;
-        const int32_t *du[5], *dv[5];
-        for (int j = 0; j < 5; ++j)
-          du[j] = sweep.row(0, y - band.y0 + j), dv[j] = sweep.row(1, y - band.y0 + j);
-        compete_row(du, dv, sweep.seen_row(y - band.y0 + kReach), to - from, grid.first + i * grid.step,
-                    mean + at, eligible.data() + from, params, grid.value(i), best + at, out + at);
-      }
-    }
+// One candidate over columns [from, to) of a band.
+void sweep_run(Sweep& sweep, const Band& band, int i, int from, int to, const Grid& grid, const int32_t* mean,
+               const uint8_t* wanted, const DisparityParams& params, float* best, float* out) {
+  const int width = sweep.array.width, left = std::max(0, from - kReach), right = std::min(width, to + kReach);
+  for (int j = 0; j < band.y1 - band.y0 + 2 * kReach; ++j) {
+    const int y = band.y0 + j - kReach, at = left - (from - kReach);
+    for (int plane = 0; plane < 2; ++plane)  // pixels beyond the image count as unknown
+      std::memset(sweep.row(plane, j), 0, sizeof(int32_t) * (to - from + 2 * kReach));
+    if (y < 0 || y >= sweep.array.height) continue;
+    sweep.variances(y, left, right, grid.value(i), sweep.row(0, j) + at, sweep.row(1, j) + at,
+                    sweep.seen_row(j) + at);
+  }
+  const int candidate = grid.first + i * grid.step;
+  for (int y = band.y0; y < band.y1; ++y) {
+    const int j = y - band.y0;
+    const size_t at = static_cast<size_t>(y) * width + from;
+    const int32_t *du[5], *dv[5];
+    for (int r = 0; r < 5; ++r) du[r] = sweep.row(0, j + r), dv[r] = sweep.row(1, j + r);
+    const uint8_t* seen = sweep.seen_row(j + kReach) + kReach;
+    for (int x = 0; x < to - from; ++x) sweep.variance[x] = seen[x] ? params.lone_variance : params.unseen_variance;
+    band.reach_row(i, from, to, wanted + at, sweep.reach.data());
+    variance_row(du, dv, to - from, sweep.variance.data());
+    compete_row(sweep.variance.data(), to - from, candidate, mean + at, sweep.reach.data(), params.beta,
+                params.table, params.table_size - 1, grid.value(i), sweep.prior.data(), best + at, out + at);
   }
 }
 
@@ -241,7 +267,10 @@ void disparity(const Array& array, const int8_t* phases, const int32_t* mean, co
 #pragma omp for schedule(dynamic, 1)
     for (int b = 0; b < bands; ++b) {
       const Band band(array, mean, cells, grid, wanted, params.prior_radius, b * kCellRows);
-      sweep_band(sweep, band, grid, mean, wanted, params, best.data(), out);
+      for (int i = 0; i < grid.count; ++i)
+        for (int c = 0, end = 0; band.next_run(i, c, end); c = end)
+          sweep_run(sweep, band, i, c * kCellColumns, std::min(array.width, end * kCellColumns), grid, mean, wanted,
+                    params, best.data(), out);
     }
   }
 }
