@@ -2,6 +2,7 @@
 // the business of backends/cpu.py. Every call releases the interpreter lock.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <stdexcept>
 #ifdef _OPENMP
 #include <omp.h>
 #endif
@@ -19,6 +20,8 @@ template <class T, int Dimensions>
 using Out = nb::ndarray<T, nb::ndim<Dimensions>, nb::c_contig, nb::device::cpu>;
 
 Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, size_t width) {
+  if (offsets.shape(1) != kOffsets || offsets.shape(0) > kMaxCameras)
+    throw std::invalid_argument("offsets must be [K <= 16, 5]");
   return {static_cast<int>(offsets.shape(0)),
           static_cast<int>(height),
           static_cast<int>(width),
@@ -52,13 +55,15 @@ NB_MODULE(_core, m) {
 
   m.def(
       "support_of_camera",
-      [](In<float, 2> offsets, In<float, 2> back, float cx, float cy, int base, int partner,
-         In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, const Grid& grid, const SupportParams& params,
-         Out<float, 2> points) {
+      [](In<float, 2> offsets, In<float, 2> back_offsets, float cx, float cy, float back_cx, float back_cy,
+         int base, int partner, In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, const Grid& grid,
+         const SupportParams& params, Out<float, 2> points) {
         static_assert(sizeof(SupportPoint) == 4 * sizeof(float));
-        const Array array = array_of(offsets, cx, cy, is_static.shape(1), is_static.shape(2));
-        return support_of_camera(array, back.data(), base, partner, descriptors.data(), is_static.data(),
-                                 grid, params, reinterpret_cast<SupportPoint*>(points.data()));
+        const size_t height = is_static.shape(1), width = is_static.shape(2);
+        const Array view = array_of(offsets, cx, cy, height, width);
+        const Array back_view = array_of(back_offsets, back_cx, back_cy, height, width);
+        return support_of_camera(view, back_view, base, partner, descriptors.data(), is_static.data(), grid,
+                                 params, reinterpret_cast<SupportPoint*>(points.data()));
       },
       free_lock);
 

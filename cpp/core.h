@@ -19,10 +19,10 @@ namespace seepast {
 struct Array {
   int cameras, height, width;
   float cx, cy;
-  const float* offsets;  // [K, 3]
+  const float* offsets;  // [K, kOffsets]
 
   size_t pixels() const { return static_cast<size_t>(height) * width; }
-  RayShift shift(int camera, float d) const { return ray_shift(offsets + 3 * camera, d); }
+  RayShift shift(int camera, float d) const { return ray_shift(offsets + kOffsets * camera, d); }
 };
 
 // Candidate disparities d_i = (first + i * step) / 8.
@@ -44,9 +44,9 @@ struct SupportParams {
 struct SupportPoint {
   float x, y, d, variance;
 };
-// Matches of the grid points of camera `base` in `partner`; array.offsets are as seen from `base`, `back`
-// from `partner`. Writes at most one point per grid position, returns how many.
-int support_of_camera(const Array& array, const float* back, int base, int partner,
+// Matches of the grid points of camera `base` in `partner`; `view` is the array as seen from base,
+// `back_view` as seen from partner. Writes at most one point per grid position, returns how many.
+int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
                       const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
                       const SupportParams& params, SupportPoint* points);
 

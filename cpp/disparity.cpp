@@ -16,7 +16,7 @@ namespace {
 
 constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
 constexpr int kAnyDistance = 1 << 30;
-constexpr int kReach = 2;                         // of the descriptor's pattern
+constexpr int kReach = 2;  // of the descriptor's pattern
 
 SEEPAST_CLONES
 void phase_row(const int8_t* __restrict du, const int8_t* __restrict dv, const uint8_t* __restrict is_static,
@@ -57,8 +57,8 @@ void pack_row(const int16_t* __restrict n, const int16_t* __restrict sum_du, con
   for (int x = 0; x < count; ++x) dv[x] = packed_variance(n[x], sum_dv[x], sq_dv[x]);
 }
 
-// Sums the packed variances over the descriptor's pattern. du and dv: the five rows around, starting kReach columns
-// before the first pixel. Where there is no variance, `out` holds what stands for it, and keeps it.
+// Sums the packed variances over the descriptor's pattern. du and dv: the five rows around, starting kReach
+// columns before the first pixel. Where there is no variance, `out` holds what stands for it, and keeps it.
 SEEPAST_CLONES
 void variance_row(const int32_t* const* __restrict du, const int32_t* const* __restrict dv, int count,
                   float* __restrict out) {
@@ -77,8 +77,8 @@ void variance_row(const int32_t* const* __restrict du, const int32_t* const* __r
 // `prior` is scratch.
 SEEPAST_CLONES
 void compete_row(const float* __restrict variance, int count, int candidate, const int32_t* __restrict mean,
-                 const int32_t* __restrict reach, float beta, const float* __restrict table, int tail, float value,
-                 float* __restrict prior, float* __restrict best, float* __restrict out) {
+                 const int32_t* __restrict reach, float beta, const float* __restrict table, int tail,
+                 float value, float* __restrict prior, float* __restrict best, float* __restrict out) {
   for (int x = 0; x < count; ++x) {  // apart, since it is a gather
     const int away = std::abs(candidate - mean[x]);
     prior[x] = table[away < tail ? away : tail];
@@ -215,7 +215,8 @@ struct Band {
 // One candidate over columns [from, to) of a band.
 void sweep_run(Sweep& sweep, const Band& band, int i, int from, int to, const Grid& grid, const int32_t* mean,
                const uint8_t* wanted, const DisparityParams& params, float* best, float* out) {
-  const int width = sweep.array.width, left = std::max(0, from - kReach), right = std::min(width, to + kReach);
+  const int width = sweep.array.width, left = std::max(0, from - kReach),
+            right = std::min(width, to + kReach);
   for (int j = 0; j < band.y1 - band.y0 + 2 * kReach; ++j) {
     const int y = band.y0 + j - kReach, at = left - (from - kReach);
     for (int plane = 0; plane < 2; ++plane)  // pixels beyond the image count as unknown
@@ -231,7 +232,8 @@ void sweep_run(Sweep& sweep, const Band& band, int i, int from, int to, const Gr
     const int32_t *du[5], *dv[5];
     for (int r = 0; r < 5; ++r) du[r] = sweep.row(0, j + r), dv[r] = sweep.row(1, j + r);
     const uint8_t* seen = sweep.seen_row(j + kReach) + kReach;
-    for (int x = 0; x < to - from; ++x) sweep.variance[x] = seen[x] ? params.lone_variance : params.unseen_variance;
+    for (int x = 0; x < to - from; ++x)
+      sweep.variance[x] = seen[x] ? params.lone_variance : params.unseen_variance;
     band.reach_row(i, from, to, wanted + at, sweep.reach.data());
     variance_row(du, dv, to - from, sweep.variance.data());
     compete_row(sweep.variance.data(), to - from, candidate, mean + at, sweep.reach.data(), params.beta,
@@ -269,8 +271,8 @@ void disparity(const Array& array, const int8_t* phases, const int32_t* mean, co
       const Band band(array, mean, cells, grid, wanted, params.prior_radius, b * kCellRows);
       for (int i = 0; i < grid.count; ++i)
         for (int c = 0, end = 0; band.next_run(i, c, end); c = end)
-          sweep_run(sweep, band, i, c * kCellColumns, std::min(array.width, end * kCellColumns), grid, mean, wanted,
-                    params, best.data(), out);
+          sweep_run(sweep, band, i, c * kCellColumns, std::min(array.width, end * kCellColumns), grid, mean,
+                    wanted, params, best.data(), out);
     }
   }
 }

@@ -30,21 +30,23 @@ SEEPAST_HD int floor_int(float v) {
 
 SEEPAST_HD int clamp(int v, int low, int high) { return v < low ? low : (v > high ? high : v); }
 
-// One camera's share of the warp W_k, at a fixed disparity: W_k(x, d) - x = (x - c) * zoom + shift.
+// One camera's share of the warp W_k, at a fixed disparity: W_k(x, d) - x = (x - c) * zoom - parallax + view.
 struct RayShift {
-  float zoom, x, y;
+  float zoom, x, y, view_x, view_y;
 };
+
+constexpr int kOffsets = 5;  // of a camera: ax, ay, az, sx, sy
 
 SEEPAST_HD RayShift ray_shift(const float* offset, float d) {
   const float s = 1.0f / (1.0f - d * offset[2]);
-  return {s - 1.0f, d * offset[0] * s, d * offset[1] * s};
+  return {s - 1.0f, d * offset[0] * s, d * offset[1] * s, offset[3], offset[4]};
 }
 
 SEEPAST_HD float ray_dx(const RayShift& r, int x, float cx) {
-  return (static_cast<float>(x) - cx) * r.zoom - r.x;
+  return (static_cast<float>(x) - cx) * r.zoom - r.x + r.view_x;
 }
 SEEPAST_HD float ray_dy(const RayShift& r, int y, float cy) {
-  return (static_cast<float>(y) - cy) * r.zoom - r.y;
+  return (static_cast<float>(y) - cy) * r.zoom - r.y + r.view_y;
 }
 
 // Matching looks at quarter pixels in x ...

@@ -18,37 +18,51 @@ bool within_margin(int x, int y, int width, int height) {
 }
 
 // Sum of absolute differences of the descriptors of the four pixels two up, down, left and right, diagonally.
-SEEPAST_CLONES
-int block_cost(const uint8_t* a, const uint8_t* b, int width) {
-  const ptrdiff_t rows[2] = {-2 * static_cast<ptrdiff_t>(width) * kSamples,
-                             2 * static_cast<ptrdiff_t>(width) * kSamples};
+inline int block_cost(const uint8_t* a, const uint8_t* b, ptrdiff_t two_rows) {
   int sum = 0;
-  for (const ptrdiff_t row : rows)
-    for (const ptrdiff_t column : {-2 * kSamples, 2 * kSamples}) {
-      const uint8_t *p = a + row + column, *q = b + row + column;
-      for (int m = 0; m < kSamples; ++m) sum += p[m] > q[m] ? p[m] - q[m] : q[m] - p[m];
-    }
+  for (int corner = 0; corner < 4; ++corner) {
+    const ptrdiff_t at = (corner < 2 ? -two_rows : two_rows) + (corner & 1 ? 2 * kSamples : -2 * kSamples);
+    for (int m = 0; m < kSamples; ++m)
+      sum += std::abs(static_cast<int>(a[at + m]) - static_cast<int>(b[at + m]));
+  }
   return sum;
+}
+
+// Costs of one block against those at `offsets` from `to`; a negative offset is not allowed to match.
+SEEPAST_CLONES
+void block_costs(const uint8_t* here, const uint8_t* to, const int* offsets, int count, int width,
+                 int* costs) {
+  const ptrdiff_t two_rows = 2 * static_cast<ptrdiff_t>(width) * kSamples;
+  for (int i = 0; i < count; ++i)
+    costs[i] = offsets[i] < 0
+                   ? kNoMatch
+                   : block_cost(here, to + static_cast<ptrdiff_t>(offsets[i]) * kSamples, two_rows);
 }
 
 struct Point {
   int x, y;
 };
 
-// One direction of matching: points of `here` looked for in `there`.
+struct Scratch {
+  explicit Scratch(size_t count) : costs(count), offsets(count) {}
+  std::vector<int> costs, offsets;
+};
+
+// One direction of matching: points of camera `here`, from which `array` is seen, looked for in `there`.
 struct Matcher {
-  Matcher(const Array& array, const float* offsets, int here, int there, const uint8_t* descriptors,
-          const uint8_t* is_static, const Grid& grid, const SupportParams& params)
-      : array(array), offset(offsets + 3 * there), params(params) {
+  Matcher(const Array& array, int here, int there, const uint8_t* descriptors, const uint8_t* is_static,
+          const Grid& grid, const SupportParams& params)
+      : array(array), params(params) {
     const size_t pixels = array.pixels();
     from = descriptors + here * pixels * kSamples;
     to = descriptors + there * pixels * kSamples;
     to_static = is_static + there * pixels;
-    const float step = 1.0f / std::fabs(offset[0]), first = grid.value(0), last = grid.value(grid.count - 1);
+    parallax = std::fabs(array.offsets[kOffsets * there]);
+    const float step = 1.0f / parallax, first = grid.value(0), last = grid.value(grid.count - 1);
     const int count = static_cast<int>((last - first) / step) + 1;
     for (int i = 0; i < count; ++i) {
       disparities.push_back(first + step * static_cast<float>(i));
-      shifts.push_back(ray_shift(offset, disparities.back()));
+      shifts.push_back(array.shift(there, disparities.back()));
     }
   }
 
@@ -57,17 +71,20 @@ struct Matcher {
             p.y + whole_offset(ray_dy(shifts[i], p.y, array.cy))};
   }
 
-  // Index of the best disparity, or -1 if it is not sure. `costs` is scratch.
-  int best(Point p, std::vector<int>& costs) const {
+  // Index of the best disparity, or -1 if it is not sure.
+  int best(Point p, Scratch& scratch) const {
     const int count = static_cast<int>(disparities.size());
-    const uint8_t* here = from + at(p) * kSamples;
-    int lowest = kNoMatch, index = 0;
     for (int i = 0; i < count; ++i) {
       const Point q = land(p, i);
       const bool ok = within_margin(q.x, q.y, array.width, array.height) && to_static[at(q)];
-      costs[i] = ok ? block_cost(here, to + at(q) * kSamples, array.width) : kNoMatch;
-      if (costs[i] < lowest) lowest = costs[i], index = i;
+      scratch.offsets[i] = ok ? static_cast<int>(at(q)) : -1;
     }
+    block_costs(from + at(p) * kSamples, to, scratch.offsets.data(), count, array.width,
+                scratch.costs.data());
+    const auto& costs = scratch.costs;
+    const int index =
+        static_cast<int>(std::min_element(costs.begin(), costs.begin() + count) - costs.begin());
+    const int lowest = costs[index];
     int second = kNoMatch;
     for (int i = 0; i < count; ++i)
       if (i < index - 1 || i > index + 1) second = std::min(second, costs[i]);
@@ -79,9 +96,9 @@ struct Matcher {
   size_t at(Point p) const { return static_cast<size_t>(p.y) * array.width + p.x; }
 
   const Array& array;
-  const float* offset;
   const SupportParams& params;
   const uint8_t *from, *to, *to_static;
+  float parallax;  // |a| of `there`: px per px of disparity
   std::vector<float> disparities;
   std::vector<RayShift> shifts;
 };
@@ -109,8 +126,8 @@ float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t
 
 // The candidate of the grid within one neighbour step of d that has the least variance.
 SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_t* is_static,
-                    const Grid& grid, float partner_offset, Point p, float d) {
-  const float reach = 1.0f / std::fabs(partner_offset);
+                    const Grid& grid, float parallax, Point p, float d) {
+  const float reach = 1.0f / parallax;
   const int steps = static_cast<int>(std::ceil(reach / (static_cast<float>(grid.step) / 8.0f)));
   const int nearest =
       floor_int((d * 8.0f - static_cast<float>(grid.first)) / static_cast<float>(grid.step) + 0.5f);
@@ -131,31 +148,31 @@ int texture(const uint8_t* descriptor) {
 
 }  // namespace
 
-int support_of_camera(const Array& array, const float* back_offsets, int base, int partner,
+int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
                       const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
                       const SupportParams& params, SupportPoint* points) {
-  const Matcher forth(array, array.offsets, base, partner, descriptors, is_static, grid, params);
-  const Matcher back(array, back_offsets, partner, base, descriptors, is_static, grid, params);
-  const uint8_t* base_static = is_static + base * array.pixels();
-  const int rows = (array.height + params.grid - 1) / params.grid;
-  const int columns = (array.width + params.grid - 1) / params.grid;
+  const Matcher forth(view, base, partner, descriptors, is_static, grid, params);
+  const Matcher back(back_view, partner, base, descriptors, is_static, grid, params);
+  const uint8_t* base_static = is_static + base * view.pixels();
+  const int rows = (view.height + params.grid - 1) / params.grid;
+  const int columns = (view.width + params.grid - 1) / params.grid;
   std::vector<std::vector<SupportPoint>> found(rows);  // by row, so that the order does not depend on threads
 #pragma omp parallel
   {
-    std::vector<int> costs(std::max(forth.disparities.size(), back.disparities.size()));
+    Scratch scratch(std::max(forth.disparities.size(), back.disparities.size()));
 #pragma omp for schedule(dynamic, 4)
     for (int j = 0; j < rows; ++j)
       for (int i = 0; i < columns; ++i) {
         const Point p{i * params.grid, j * params.grid};
-        if (!within_margin(p.x, p.y, array.width, array.height) || !base_static[forth.at(p)]) continue;
+        if (!within_margin(p.x, p.y, view.width, view.height) || !base_static[forth.at(p)]) continue;
         if (texture(forth.from + forth.at(p) * kSamples) < params.texture) continue;
-        const int there = forth.best(p, costs);
+        const int there = forth.best(p, scratch);
         if (there < 0) continue;
         const Point q = forth.land(p, there);
-        const int again = back.best(q, costs);
+        const int again = back.best(q, scratch);
         if (again < 0 || std::abs(back.land(q, again).x - p.x) > params.left_right) continue;
         found[j].push_back(
-            refine(array, descriptors, is_static, grid, forth.offset[0], p, forth.disparities[there]));
+            refine(view, descriptors, is_static, grid, forth.parallax, p, forth.disparities[there]));
       }
   }
   int count = 0;

@@ -70,7 +70,7 @@ def rectified_pixels(rig: Rig, rectification, k: int, points: np.ndarray) -> np.
     raw = rig.cameras[k].project(in_camera)
     rays = rig.cameras[k].unproject(raw) @ rectification.rotation_from_cam[k].T
     geometry = rectification.geometry
-    return rays[:, :2] / rays[:, 2:] * geometry.focal + geometry.center
+    return rays[:, :2] / rays[:, 2:] * geometry.focal + geometry.center + geometry.shifts[k]
 
 
 @pytest.mark.parametrize("cameras", [2, 3, 5, 16])
@@ -94,10 +94,11 @@ def test_the_warp_predicts_every_camera(cameras, which):
 def test_the_maps_lead_to_the_true_source_pixels(reference):
     rig = crooked_rig(5)
     rectification = rectify(rig, reference)
-    (fx, fy), (cx, cy) = rectification.geometry.focal, rectification.geometry.center
+    fx, fy = rectification.geometry.focal
     width, height = rectification.geometry.size
     for k in range(5):
         map_x, map_y = rectification.maps[k]
+        cx, cy = np.array(rectification.geometry.center) + rectification.geometry.shifts[k]
         assert map_x.shape == map_y.shape == (height, width) and map_x.dtype == map_y.dtype == np.float32
         v, u = np.mgrid[3:height:17, 3:width:17]
         ray = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones(u.shape)], axis=-1)
@@ -172,19 +173,24 @@ def test_a_rectified_array_read_from_a_file_with_zero_distortion_passes_through(
     assert rectify(Rig.from_kalibr(tmp_path / "rig.yaml"), "cam3").maps == (None,) * 4
 
 
-def test_other_principal_points_are_shifted_onto_the_references_grid():
-    linear = Rig.linear(3, focal=100.0, spacing=0.1, size=(64, 48), center=(31.0, 23.0))
-    moved = replace(linear.cameras[1], intrinsics=(100.0, 100.0, 34.0, 22.0))
+def test_other_principal_points_pass_through_with_a_shift():
+    linear = Rig.linear(4, focal=100.0, spacing=0.1, size=(64, 48), center=(31.0, 23.0))
+    moved = replace(linear.cameras[1], intrinsics=(100.0, 100.0, 34.5, 22.0))
     longer = replace(linear.cameras[2], intrinsics=(120.0, 120.0, 31.0, 23.0))
-    rectification = rectify(Rig((linear.cameras[0], moved, longer)))
-    assert rectification.maps[0] is None and rectification.geometry.center == (31.0, 23.0)
-    image = np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8)
-    shifted = rectification.image(1, image)
-    np.testing.assert_array_equal(shifted[1:, :-3], image[:-1, 3:])
-    dynamic = rectification.dynamic(1, None)
-    assert (dynamic[0] == NO_RAY).all() and (dynamic[:, -3:] == NO_RAY).all() and not dynamic[1:, :-3].any()
+    between_rows = replace(linear.cameras[3], intrinsics=(100.0, 100.0, 31.0, 23.5))
+    rig = Rig((linear.cameras[0], moved, longer, between_rows))
+    rectification = rectify(rig)
+    geometry = rectification.geometry
+    assert rectification.maps[0] is None and geometry.center == (31.0, 23.0)
+    assert rectification.maps[1] is None  # no pixel of it is resampled or lost
+    np.testing.assert_allclose(geometry.shifts, [[0, 0], [3.5, -1], [0, 0], [0, 0]])
+    x, y = geometry.warp(1, 10.0, 12.0, 0.0)  # a point at infinity
+    assert (x, y) == (13.5, 11.0)
+    back = geometry.seen_from(1)
+    assert back.center == (34.5, 22.0) and back.warp(0, 13.5, 11.0, 0.0) == (10.0, 12.0)
     assert np.isclose(rectification.maps[2][0][23, 40], 31 + 1.2 * 9)
-    assert rectify(Rig((linear.cameras[0], moved, longer)), 1).geometry.center == (34.0, 22.0)
+    assert np.isclose(rectification.maps[3][1][20, 40], 20.5)  # half a row: resampled onto the reference's rows
+    assert rectify(rig, 1).geometry.center == (34.5, 22.0)
 
 
 def test_differing_resolutions():

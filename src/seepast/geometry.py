@@ -11,7 +11,7 @@ Conventions, used everywhere in seepast:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,11 +23,13 @@ class ArrayGeometry:
     """Geometry of a rectified array as seen from its reference camera.
 
     focal      (fx, fy) px, shared by all cameras
-    center     (cx, cy) px, the common principal point c
+    center     (cx, cy) px, the reference view's principal point c
     size       (width, height) px of every rectified view
     positions  float64[K, 3] camera centres in metres, reference at the origin
     reference  index of the reference camera
     baseline   B in metres, the unit of disparity: reference to farthest camera unless given
+    shifts     float64[K, 2] px, each view's principal point less the reference's: arrays whose cameras converge,
+               by shifted sensors or by rectification, keep all of their pixels. 0 unless given
     """
 
     focal: tuple[float, float]
@@ -36,11 +38,14 @@ class ArrayGeometry:
     positions: np.ndarray
     reference: int = 0
     baseline: float = 0.0
+    shifts: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         if not self.baseline:
             farthest = float(np.linalg.norm(self.positions - self.positions[self.reference], axis=1).max())
             object.__setattr__(self, "baseline", farthest)
+        if not len(self.shifts):
+            object.__setattr__(self, "shifts", np.zeros((self.cameras, 2)))
 
     @property
     def cameras(self) -> int:
@@ -53,13 +58,13 @@ class ArrayGeometry:
 
     @property
     def offsets(self) -> np.ndarray:
-        """float32[K, 3] of (ax, ay, az): W_k(x, d) = c + (x - c - d * (ax, ay)) / (1 - d * az).
+        """float32[K, 5] of (ax, ay, az, sx, sy): W_k(x, d) = c + (x - c - d (ax, ay)) / (1 - d az) + (sx, sy).
 
-        ax = bx / B, ay = (by / B) * (fy / fx), az = bz / (fx * B); METHOD "rectify".
+        ax = bx / B, ay = (by / B) (fy / fx), az = bz / (fx B), METHOD "rectify"; (sx, sy) the view's shift.
         """
         fx, fy = self.focal
         unit = self.positions / self.baseline
-        return np.stack([unit[:, 0], unit[:, 1] * (fy / fx), unit[:, 2] / fx], axis=1).astype(np.float32)
+        return np.column_stack([unit[:, 0], unit[:, 1] * (fy / fx), unit[:, 2] / fx, self.shifts]).astype(np.float32)
 
     def seen_from(self, camera: int) -> ArrayGeometry:
         """The same array with another camera as its origin; disparities keep the unit (px over *this* B).
@@ -67,15 +72,22 @@ class ArrayGeometry:
         With Z measured in that camera, W between it and camera k has the offsets a_k - a_camera, so all
         reference views can share one disparity scale.
         """
-        return replace(self, positions=self.positions - self.positions[camera], reference=camera)
+        cx, cy = np.array(self.center) + self.shifts[camera]
+        return replace(
+            self,
+            positions=self.positions - self.positions[camera],
+            reference=camera,
+            center=(float(cx), float(cy)),
+            shifts=self.shifts - self.shifts[camera],
+        )
 
     def warp(self, camera: int, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """W_k: reference pixels (x, y) at disparity d -> (x, y) in `camera`, float32, same shape as the inputs."""
-        ax, ay, az = self.offsets[camera]
+        ax, ay, az, sx, sy = self.offsets[camera]
         cx, cy = np.float32(self.center[0]), np.float32(self.center[1])
         x, y, d = (np.asarray(v, np.float32) for v in (x, y, d))
         scale = np.float32(1) / (np.float32(1) - d * az)
-        return cx + (x - cx - d * ax) * scale, cy + (y - cy - d * ay) * scale
+        return cx + (x - cx - d * ax) * scale + sx, cy + (y - cy - d * ay) * scale + sy
 
     def depth(self, disparity: np.ndarray) -> np.ndarray:
         """Metres in the reference camera, float32; 0 where the disparity is 0 (unknown)."""

@@ -34,6 +34,7 @@ MAX_HALF_FIELD_DEG = 60.0  # a plane image of more is nearly all stretched borde
 MIN_ZOOM = 0.75  # how far the focal length may shrink to keep the border of the field of view
 CROOKED = 0.1  # warn when centres lie farther from their line than this part of the array's length
 SAME_ROTATION = 1e-6  # radians: a thousandth of a pixel
+SAME_ROW = 0.05  # px: rows that differ by whole pixels but for this need no resampling
 SAME_PIXEL = 1e-3  # px: a map that moves nothing by more is the identity
 
 _INTERPOLATION = {"cubic": cv2.INTER_CUBIC, "linear": cv2.INTER_LINEAR}
@@ -147,10 +148,11 @@ def rectify(rig: Rig, reference: int | str = 0) -> Rectification:
     reference's x axis (of its y axis if the array stands upright); z as close as possible to the mean optical
     axis.
 
-    Intrinsics: the reference's own, if it is an undistorted pinhole camera of that orientation. Else one
-    focal length for x and y: the mean of the cameras' own at their centres, less (down to MIN_ZOOM of it)
-    where that keeps the border of the field of view; the principal point centres the mean of the views'
-    contents. Fields wider than 2 * MAX_HALF_FIELD_DEG are cut to about that. The size is the reference's
+    Intrinsics: the reference's own, if it is an undistorted pinhole camera of that orientation; cameras of that
+    kind with the same focal length, and rows apart by whole pixels, keep their own principal point
+    (`ArrayGeometry.shifts`) and their images pass through. Else one focal length for x and y: the mean of the
+    cameras' own at their centres, less (down to MIN_ZOOM of it) where that keeps the border of the field of view;
+    each view's principal point centres its own content along the array, and all contents across it. Fields wider than 2 * MAX_HALF_FIELD_DEG are cut to about that. The size is the reference's
     (width and height swapped if the array's line runs along the reference's columns).
 
     Raises RigError if a camera looks more than MAX_AXIS_DEG away from the common direction, or if the array
@@ -166,12 +168,14 @@ def rectify(rig: Rig, reference: int | str = 0) -> Rectification:
 def _rectify(rig: Rig, reference: int) -> Rectification:
     rectified_from_rig = _orientation(rig, reference)
     rotations = tuple(_snapped(rectified_from_rig @ camera.rotation.T) for camera in rig.cameras)
-    focal, center, size = _intrinsics(rig, reference, rotations)
+    focal, principal_points, size = _intrinsics(rig, reference, rotations)
     centers = rig.centers
     positions = (centers - centers[reference]) @ rectified_from_rig.T
     positions[abs(positions) < 1e-9 * abs(positions).max()] = 0.0  # rounding: a straight array is exactly straight
-    geometry = ArrayGeometry(focal, center, size, positions, reference)
-    sources = [_source(c, r, geometry) for c, r in zip(rig.cameras, rotations, strict=True)]
+    cx, cy = principal_points[reference]
+    shifts = principal_points - principal_points[reference]
+    geometry = ArrayGeometry(focal, (float(cx), float(cy)), size, positions, reference, shifts=shifts)
+    sources = [_source(geometry, k, c, r) for k, (c, r) in enumerate(zip(rig.cameras, rotations, strict=True))]
     maps = tuple(_masked_map(c, s) for c, s in zip(rig.cameras, sources, strict=True))
     fixed = tuple(
         None if s is None else _fixed_point(s, c.resolution) for c, s in zip(rig.cameras, sources, strict=True)
@@ -231,15 +235,17 @@ def _snapped(rotation: np.ndarray) -> np.ndarray:
     return np.eye(3) if np.linalg.norm(rotation - np.eye(3)) < SAME_ROTATION else rotation
 
 
-Intrinsics = tuple[tuple[float, float], tuple[float, float], tuple[int, int]]
+Intrinsics = tuple[tuple[float, float], np.ndarray, tuple[int, int]]
 
 
 def _intrinsics(rig: Rig, reference: int, rotations: tuple[np.ndarray, ...]) -> Intrinsics:
-    """((fx, fy), (cx, cy), (width, height)) of all rectified views."""
+    """(fx, fy), the principal point of every view float64[K, 2], (width, height): all but the middle one shared."""
     own, rotation = rig.cameras[reference], rotations[reference]
     if own.undistorted and np.array_equal(rotation, np.eye(3)):
-        fx, fy, cx, cy = own.intrinsics
-        return (fx, fy), (cx, cy), own.resolution
+        fx, fy, *center = own.intrinsics
+        same = [_passes_through(c, r, own) for c, r in zip(rig.cameras, rotations, strict=True)]
+        points = [c.intrinsics[2:] if s else center for c, s in zip(rig.cameras, same, strict=True)]
+        return (fx, fy), np.array(points, np.float64), own.resolution
     width, height = own.resolution
     if abs(rotation[0, 1]) > abs(rotation[0, 0]):
         width, height = height, width
@@ -248,8 +254,20 @@ def _intrinsics(rig: Rig, reference: int, rotations: tuple[np.ndarray, ...]) -> 
     central = float(np.mean([_central_focal(camera) for camera in rig.cameras]))
     fitting = float(np.min(np.array([width, height]) / (high - low)))
     focal = float(np.clip(fitting, MIN_ZOOM * central, central))
-    cx, cy = np.array([width - 1, height - 1]) / 2 - focal * (low + high) / 2
-    return (focal, focal), (float(cx), float(cy)), (width, height)
+    middle = boxes.mean(axis=1)  # of each view's content
+    middle[:, 1] = (low[1] + high[1]) / 2  # rows stay aligned
+    return (focal, focal), np.array([width - 1, height - 1]) / 2 - focal * middle, (width, height)
+
+
+def _passes_through(camera: Camera, rectified_from_cam: np.ndarray, reference: Camera) -> bool:
+    """Whether the camera's image already is a rectified view, except perhaps for where its principal point lies."""
+    return (
+        camera.undistorted
+        and np.array_equal(rectified_from_cam, np.eye(3))
+        and camera.intrinsics[:2] == reference.intrinsics[:2]
+        and camera.resolution == reference.resolution
+        and abs((rows := camera.intrinsics[3] - reference.intrinsics[3]) - round(rows)) < SAME_ROW
+    )
 
 
 def _content_box(camera: Camera, rectified_from_cam: np.ndarray) -> np.ndarray:
@@ -283,10 +301,10 @@ def _central_focal(camera: Camera) -> float:
     return float(lengths.mean())
 
 
-def _source(camera: Camera, rectified_from_cam: np.ndarray, geometry: ArrayGeometry) -> np.ndarray | None:
+def _source(geometry: ArrayGeometry, index: int, camera: Camera, rectified_from_cam: np.ndarray) -> np.ndarray | None:
     """float64[H, W, 2] source pixel of every rectified pixel, also off the image; None for the identity."""
     width, height = geometry.size
-    (fx, fy), (cx, cy) = geometry.focal, geometry.center
+    (fx, fy), (cx, cy) = geometry.focal, np.array(geometry.center) + geometry.shifts[index]
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
     rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1)
     source = camera.project(rays @ rectified_from_cam)
@@ -320,7 +338,8 @@ def _inverse_map(rectification: Rectification, camera: int) -> tuple[np.ndarray,
     pixels = np.stack(np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)), axis=-1)
     rays = own.unproject(pixels) @ rectification.rotation_from_cam[camera].T
     ahead = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
-    target = rays[..., :2] / ahead * np.array(geometry.focal) + np.array(geometry.center)
+    center = np.array(geometry.center) + geometry.shifts[camera]
+    target = rays[..., :2] / ahead * np.array(geometry.focal) + center
     whole, fraction = _fixed_point(target, geometry.size)
     reached = _inside(target, geometry.size)
     no_ray = rectification._no_ray[camera]
@@ -403,7 +422,8 @@ def _row_residuals(first: np.ndarray, second: np.ndarray, geometry: ArrayGeometr
     end, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, guess.copy(), **options)
     kept = (found.ravel() > 0) & (np.linalg.norm(end - guess, axis=-1) < 2)
     (x, y), (x2, y2) = start[kept].T, end[kept].T
-    ax, _, az = geometry.offsets[camera]
+    ax, _, az, sx, _ = geometry.offsets[camera]
+    x2 = x2 - sx
     disparity = (x - x2) / (ax - az * (x2 - np.float32(geometry.center[0])))
     _, predicted = geometry.warp(camera, x, y, disparity)
     return (y2 - predicted)[(disparity > -1) & (abs(y2 - predicted) < _MAX_ROW_SEARCH)]

@@ -68,13 +68,14 @@ def _match_camera(
     options: SupportOptions,
 ) -> np.ndarray:
     partner = neighbour_camera(geometry, base)
+    view, back = geometry.seen_from(base), geometry.seen_from(partner)
     params = _core.SupportParams(
         options.grid, options.texture, options.left_right, options.uniqueness, options.max_cost
     )
     tried = np.prod([-(-size // options.grid) for size in clear.shape[1:]])
     points = np.empty((tried, 4), np.float32)
     count = _core.support_of_camera(
-        geometry.seen_from(base).offsets, geometry.seen_from(partner).offsets, *geometry.center, base, partner,
+        view.offsets, back.offsets, *view.center, *back.center, base, partner,
         features.descriptors, _bytes(clear), _grid(grid), params, points,
     )  # fmt: skip
     return points[:count]

@@ -67,13 +67,13 @@ def describe(grey: np.ndarray) -> np.ndarray:
 
 
 def ray_offsets(geometry: ArrayGeometry, camera: int, x, y, d) -> tuple[np.ndarray, np.ndarray]:
-    """W_k(x, d) - x as float32 (dx, dy): with s = 1 / (1 - d az), dx = (x - cx)(s - 1) - d ax s, dy likewise."""
-    ax, ay, az = geometry.offsets[camera]
+    """W_k(x, d) - x as float32 (dx, dy): with s = 1 / (1 - d az), dx = (x - cx)(s - 1) - d ax s + sx, dy likewise."""
+    ax, ay, az, sx, sy = geometry.offsets[camera]
     cx, cy = np.float32(geometry.center[0]), np.float32(geometry.center[1])
     x, y, d = (np.asarray(v, np.float32) for v in (x, y, d))
     s = np.float32(1) / (np.float32(1) - d * az)
     m = s - np.float32(1)
-    return (x - cx) * m - d * ax * s, (y - cy) * m - d * ay * s
+    return (x - cx) * m - d * ax * s + sx, (y - cy) * m - d * ay * s + sy
 
 
 def quarter_positions(geometry: ArrayGeometry, camera: int, x, y, d) -> tuple[np.ndarray, np.ndarray]:
