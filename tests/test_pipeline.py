@@ -15,8 +15,8 @@ from arrays import FAR, NEAR, SPACING, Scene, all_label_energies, make_scene, pa
 from seepast.backends import reference as reference_backend
 from seepast.errors import BackendError, InputError, OptionsError, RigError, SeepastError
 from seepast.options import Options
-from seepast.pipeline import STAGES, Reconstructor, reconstruct
-from seepast.rectify import rectify
+from seepast.pipeline import STAGES, Reconstructor, reconstruct, to_bytes
+from seepast.rectify import NO_RAY, rectify
 from seepast.rig import Camera, Rig
 
 OPTIONS = Options.preset("paper").updated({"range.max_disparity": 60})
@@ -214,6 +214,12 @@ def test_dynamic_only_flags_the_rest_as_not_estimated(scene, result):
     assert (found.coverage[kept] == 1).all()
     assert (np.abs(found.disparity - FAR)[hidden] < 1).mean() > 0.98
     assert np.abs(found.background.astype(float) - result.background)[hidden].mean() < 2
+
+
+def test_masks_are_scaled_back_to_bytes():
+    scaled = to_bytes(np.array([0, 1, 127, 128, 253, 254, NO_RAY], np.uint8))
+    assert scaled.dtype == np.uint8
+    assert scaled.tolist() == [0, 1, 127, 129, 254, 255, 255]
 
 
 @pytest.mark.parametrize("settings", [{}, {"reference": 2}, {"cameras": 2}], ids=str)

@@ -66,20 +66,22 @@ class Rectification:
     _no_ray: tuple[np.ndarray | None, ...] = field(repr=False)
     _to_input: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(repr=False, default_factory=dict)
 
-    def image(self, camera: int, image: np.ndarray, interpolation: str = "cubic") -> np.ndarray:
+    def image(
+        self, camera: int, image: np.ndarray, interpolation: str = "cubic", out: np.ndarray | None = None
+    ) -> np.ndarray:
         """uint8 [h, w] or [h, w, 3] of `camera` -> its rectified view, [H, W] or [H, W, 3].
 
         interpolation "cubic" or "linear": cubic is 2.5 dB nearer to a textured photograph, linear takes a
         quarter of the time (0.9 against 3.6 ms for 720x540 colour). Where no source pixel exists the nearest
         border pixel is repeated (`dynamic` says where), so that no edge appears that the scene does not
-        have. The input object itself where the map is None. InputError for a size that is not the
-        calibrated one.
+        have. The input object itself where the map is None; else `out`, if given, is written and returned.
+        InputError for a size that is not the calibrated one.
         """
         self._check_size(camera, image, "image")
         fixed = self._fixed[camera]
         if fixed is None:
             return image
-        return cv2.remap(image, *fixed, _INTERPOLATION[interpolation], borderMode=cv2.BORDER_REPLICATE)
+        return cv2.remap(image, *fixed, _INTERPOLATION[interpolation], dst=out, borderMode=cv2.BORDER_REPLICATE)
 
     def dynamic(self, camera: int, mask: np.ndarray | None) -> np.ndarray:
         """uint8 [h, w] 255 * P(dynamic), or None for "nothing moves" -> uint8 [H, W], rectified.
