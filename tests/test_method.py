@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from arrays import FAR, NEAR, Scene, array, make_scene
+from arrays import FAR, NEAR, Scene, array, make_scene, slanted, unwarped
 from seepast import Options
 from seepast.backends import get, reference
 from seepast.candidates import DisparityGrid, Prior, prior_energy
@@ -104,6 +104,24 @@ def test_variance_leaves_out_what_is_not_static():
     static[1:] = False
     found, n = reference.variance_map(gradients, static, geometry, 0.0)
     assert (n == 1).all()
+
+
+@pytest.mark.parametrize("reference_", [0, 1, 3])
+def test_rays_end_where_the_array_sees_the_surface(reference_):
+    """W_k undoes the renderer's way from camera pixels to reference pixels; the stages' rays are the same warp."""
+    geometry = array(4, (60, 40), reference=reference_, residual=True)
+    v, u = np.mgrid[:40, :60]
+    surface = slanted(geometry)
+    for k in range(4):
+        x, y = unwarped(geometry, k, surface)
+        found = geometry.warp(k, x, y, surface(x, y))
+        assert np.abs(found[0] - u).max() < 1e-3
+        assert np.abs(found[1] - v).max() < 1e-3
+        dx, dy = reference.ray_offsets(geometry, k, x, y, surface(x, y))
+        assert np.abs(x + dx - u).max() < 1e-3
+        assert np.abs(y + dy - v).max() < 1e-3
+    assert np.ptp(geometry.shifts) > 1
+    assert np.ptp(geometry.positions[:, 2]) > 0.01
 
 
 @pytest.mark.parametrize("gamma, sigma", [(0.005, 2.0), (0.3, 0.5), (1e-6, 8.0)])
