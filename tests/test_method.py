@@ -120,8 +120,15 @@ def test_rays_end_where_the_array_sees_the_surface(reference_):
         dx, dy = reference.ray_offsets(geometry, k, x, y, surface(x, y))
         assert np.abs(x + dx - u).max() < 1e-3
         assert np.abs(y + dy - v).max() < 1e-3
+
+        (fx, fy), (cx, cy), (bx, by, bz) = geometry.focal, geometry.center, geometry.positions[k]
+        depth = fx * geometry.baseline / surface(x, y)  # and the same by projecting points in metres
+        right, down = (x - cx) / fx * depth, (y - cy) / fy * depth
+        assert np.abs(fx * (right - bx) / (depth - bz) + cx + geometry.shifts[k, 0] - u).max() < 1e-3
+        assert np.abs(fy * (down - by) / (depth - bz) + cy + geometry.shifts[k, 1] - v).max() < 1e-3
     assert np.ptp(geometry.shifts) > 1
     assert np.ptp(geometry.positions[:, 2]) > 0.01
+    assert geometry.focal[0] != geometry.focal[1]
 
 
 @pytest.mark.parametrize("gamma, sigma", [(0.005, 2.0), (0.3, 0.5), (1e-6, 8.0)])

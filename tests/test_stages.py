@@ -131,15 +131,15 @@ def test_the_scenes_do_have_support_points():
 @pytest.mark.parametrize(
     "changed",
     [
-        {"support.grid": 2, "support.min_agreeing": 0},
-        {"support.grid": 3, "support.left_right": 2},
+        {"support.grid": 3, "support.min_agreeing": 0},
+        {"support.grid": 4, "support.left_right": 2},
         {"support.uniqueness": 1.0, "support.max_cost": 255, "support.texture": 0, "support.min_agreeing": 0},
         {"support.max_cost": 4, "support.similar": 0, "support.window": 7},
         {"support.grid": 64},
     ],
     ids=str,
 )
-@pytest.mark.parametrize("name", ["3, middle, residual", "noise"])
+@pytest.mark.parametrize("name", ["3, middle, residual", "noise, last of 2"])
 def test_support_with_other_options(name, changed):
     assert_same(case(name).support(backend, **changed) for backend in BACKENDS)
 
