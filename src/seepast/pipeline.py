@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 
 from . import backends
-from .candidates import DisparityGrid
+from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
 from .frames import Frame, check_frame, rectified_frame
 from .geometry import ArrayGeometry
@@ -76,7 +76,8 @@ def see_past(
         keep = keep | ~wanted
     with clock("refocus"):  # I* = sum_k S^k I_k(x^k) / sum_k S^k, 3x3 median
         kept = keep if options.refocus.keep_reference else ~wanted
-        background, coverage = backend.refocus(frame.colour, labels, geometry, d, kept, options.refocus)
+        surface = np.where(wanted, d, prior.mean.astype(np.float32) / EIGHTHS)  # around the rest, to fill from
+        background, coverage = backend.refocus(frame.colour, labels, geometry, surface, kept, options.refocus)
     return {
         "background": background, "disparity": d, "coverage": coverage, "labels": labels, "dynamic": dynamic
     }, rounds  # fmt: skip
