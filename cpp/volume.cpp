@@ -51,44 +51,49 @@ inline __attribute__((always_inline)) void count_bits(const uint8_t* a, const ui
   }
 }
 
-inline __attribute__((always_inline)) uint16_t colour_cost(const uint8_t* a, const uint8_t* b, size_t stride, int x,
-                                                           const PairCostParams& params) {
-  const auto step = [&](int c) {
-    const uint8_t p = a[c * stride + x], q = b[c * stride + x];
-    return static_cast<uint8_t>(std::max(p, q) - std::min(p, q));
-  };
-  const uint16_t sum = static_cast<uint16_t>(step(0) + step(1) + step(2));
-  const uint16_t cut = std::min(sum, static_cast<uint16_t>(params.colour_limit));
-  const uint16_t cost = static_cast<uint16_t>(cut * static_cast<uint16_t>(params.colour_weight));
-  return std::min(cost, static_cast<uint16_t>(params.colour_cap));
+inline __attribute__((always_inline)) uint8_t apart(uint8_t p, uint8_t q) {
+  return static_cast<uint8_t>(p > q ? p - q : q - p);
+}
+
+// Colour part of the cost in 256ths, and what rounds it.
+inline __attribute__((always_inline)) void colour_costs(const uint8_t* a, const uint8_t* b, size_t stride,
+                                                        const PairCostParams& params, uint16_t* __restrict out) {
+  const uint16_t limit = static_cast<uint16_t>(params.colour_limit), weight = static_cast<uint16_t>(params.colour_weight),
+                 cap = static_cast<uint16_t>(params.colour_cap);
+  const uint8_t *a1 = a + stride, *a2 = a1 + stride, *b1 = b + stride, *b2 = b1 + stride;
+  for (int x = 0; x < kBlock; ++x) {
+    const uint16_t sum = static_cast<uint16_t>(apart(a[x], b[x]) + apart(a1[x], b1[x]) + apart(a2[x], b2[x]));
+    const uint16_t cut = sum < limit ? sum : limit;
+    const uint16_t cost = static_cast<uint16_t>(cut * weight);
+    out[x] = static_cast<uint16_t>((cost < cap ? cost : cap) + 128);
+  }
 }
 
 // Cost of one pair of rays for a block: reference_multiview.pair_cost.
 SEEPAST_CLONES
 void pair_block(const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* __restrict out) {
+  uint8_t differing[kBlock], valid[kBlock], both[kBlock];
+  uint16_t cost[kBlock], scale[kBlock];
+  colour_costs(a.planes + plane_colour(a.phase) * stride, b.planes + plane_colour(b.phase) * stride, stride, params,
+               cost);
   const uint8_t *ca = a.planes + plane_census(a.phase) * stride, *cb = b.planes + plane_census(b.phase) * stride;
-  const uint8_t *pa = a.planes + plane_colour(a.phase) * stride, *pb = b.planes + plane_colour(b.phase) * stride;
-  uint8_t differing[kBlock], valid[kBlock];
   if (a.clear && b.clear) {
     count_bits<false>(ca, cb, nullptr, nullptr, stride, differing, valid);
-    const uint16_t scale = params.census_scale[62];
-    for (int x = 0; x < kBlock; ++x) {
-      const uint16_t sum = static_cast<uint16_t>(differing[x] * scale + colour_cost(pa, pb, stride, x, params) + 128);
-      out[x] = static_cast<uint8_t>(sum >> 8);
-    }
+    const uint16_t all = params.census_scale[62];
+    for (int x = 0; x < kBlock; ++x)
+      out[x] = static_cast<uint8_t>(static_cast<uint16_t>(differing[x] * all + cost[x]) >> 8);
     return;
   }
-  const uint8_t *va = a.planes + plane_valid(a.phase) * stride, *vb = b.planes + plane_valid(b.phase) * stride;
+  count_bits<true>(ca, cb, a.planes + plane_valid(a.phase) * stride, b.planes + plane_valid(b.phase) * stride, stride,
+                   differing, valid);
   const uint8_t *sa = a.planes + plane_static(a.phase) * stride, *sb = b.planes + plane_static(b.phase) * stride;
-  count_bits<true>(ca, cb, va, vb, stride, differing, valid);
-  uint16_t scales[kBlock];
-  for (int x = 0; x < kBlock; ++x) scales[x] = params.census_scale[valid[x]];
+  for (int x = 0; x < kBlock; ++x) both[x] = sa[x] & sb[x];
+  for (int x = 0; x < kBlock; ++x) scale[x] = params.census_scale[valid[x]];
+  const uint16_t few = static_cast<uint16_t>(params.few);
   for (int x = 0; x < kBlock; ++x) {
-    const uint16_t known = static_cast<uint16_t>(differing[x] * scales[x]);
-    const uint16_t part = scales[x] ? known : static_cast<uint16_t>(params.few);
-    const uint16_t sum = static_cast<uint16_t>(part + colour_cost(pa, pb, stride, x, params) + 128);
-    const uint8_t cost = static_cast<uint8_t>(sum >> 8);
-    out[x] = (sa[x] & sb[x]) ? cost : kNoPair;
+    const uint16_t part = static_cast<uint16_t>(differing[x] * scale[x] + (scale[x] ? 0 : few));
+    const uint8_t sum = static_cast<uint8_t>(static_cast<uint16_t>(part + cost[x]) >> 8);
+    out[x] = both[x] ? sum : kNoPair;
   }
 }
 
@@ -106,9 +111,9 @@ void smaller_half(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
     for (int p = count - 1; p > q; --p) {  // the smallest of the rest rises to q
       uint8_t *a = rows[p - 1], *b = rows[p];
       for (int x = 0; x < kBlock; ++x) {
-        const uint8_t low = std::min(a[x], b[x]), high = std::max(a[x], b[x]);
-        a[x] = low;
-        b[x] = high;
+        const uint8_t p = a[x], q2 = b[x];
+        a[x] = p < q2 ? p : q2;
+        b[x] = p < q2 ? q2 : p;
       }
     }
     const uint16_t share = static_cast<uint16_t>(65535 / (q + 1) + 1);  // ceil(65536 / half); 0 stands for 1
