@@ -152,8 +152,9 @@ def rectify(rig: Rig, reference: int | str = 0) -> Rectification:
     kind with the same focal length, and rows apart by whole pixels, keep their own principal point
     (`ArrayGeometry.shifts`) and their images pass through. Else one focal length for x and y: the mean of the
     cameras' own at their centres, less (down to MIN_ZOOM of it) where that keeps the border of the field of view;
-    each view's principal point centres its own content along the array, and all contents across it. Fields wider than 2 * MAX_HALF_FIELD_DEG are cut to about that. The size is the reference's
-    (width and height swapped if the array's line runs along the reference's columns).
+    each view's principal point centres its own content along the array, and all contents across it. Fields wider
+    than 2 * MAX_HALF_FIELD_DEG are cut to about that. The size is the reference's (width and height swapped if the
+    array's line runs along the reference's columns).
 
     Raises RigError if a camera looks more than MAX_AXIS_DEG away from the common direction, or if the array
     is lined up along the viewing direction.
