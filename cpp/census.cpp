@@ -9,7 +9,7 @@ namespace seepast {
 namespace {
 
 constexpr int kReachX = 4, kReachY = 3;
-constexpr int kLastBits = 0x3f;  // 62 neighbours: the last of 8 bytes has 6
+constexpr uint64_t kAllValid = (uint64_t{1} << 62) - 1;  // there are 62 neighbours
 
 // Four samples wide interpolation of one interleaved row; `value` in 128ths, luma in 16 bits.
 SEEPAST_CLONES
@@ -53,7 +53,7 @@ void gather_bits(const uint8_t* const* around, int width, uint8_t* __restrict ou
                                   a6[x] << 6 | a7[x] << 7);
 }
 
-// The neighbours of byte `group`, as offsets (dy, dx) in the order of many.py REACH; fewer than 8 in the last.
+// The neighbours as offsets (dy, dx), in the order of many.py REACH.
 struct Neighbour {
   int dy, dx;
 };
@@ -104,52 +104,55 @@ void samples(const View& view, int y, const int32_t* cubic, const int32_t* luma_
   for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
 }
 
-// Census of row y at one phase from the luma rows of that phase; `none` is an empty row.
-void census_row(const View& view, int y, int phase, const uint16_t* luma, size_t line, const uint16_t* none) {
+// Calls row_of(dy) for the neighbours' rows and fills the words of row y: `group` fills one byte of every word.
+template <class Element, class RowOf, class Group>
+void words_of_row(const View& view, const Element* nothing, RowOf row_of, Group group, uint8_t* bytes, uint8_t* words) {
   static const Reach reach;
+  const int width = view.array.width;
+  for (int byte = 0; byte < kWord; ++byte) {
+    const Element* around[8];
+    for (int i = 0; i < 8; ++i) {
+      const int n = kWord * byte + i;
+      around[i] = n < reach.count ? row_of(reach.list[n].dy) + reach.list[n].dx : nothing;
+    }
+    group(around, bytes + static_cast<size_t>(byte) * width);
+  }
+  transpose(bytes, width, kWord, width, words + kBlock * kWord, kWord);
+}
+
+// Census of row y at one phase from the luma rows of that phase; `none` is an empty row, `bytes` 8 rows of scratch.
+void census_row(const View& view, int y, int phase, const uint16_t* luma, size_t line, const uint16_t* none,
+                uint8_t* bytes) {
   const auto luma_row = [&](int dy) {
     const int at = y + dy;
     return (at < 0 || at >= view.array.height ? none : luma + static_cast<size_t>(at) * 4 * line) + kBlock;
   };
-  const uint16_t* mid = luma_row(0);
-  uint8_t* out = view.row(y) + static_cast<size_t>(plane_census(phase)) * view.stride + kBlock;
-  for (int group = 0; group < kCensusBytes; ++group) {
-    const uint16_t* around[8];
-    for (int i = 0; i < 8; ++i) {
-      const int n = 8 * group + i;
-      around[i] = n < reach.count ? luma_row(reach.list[n].dy) + reach.list[n].dx : mid;
-    }
-    compare_row(mid, around, view.array.width, out + static_cast<size_t>(group) * view.stride);
-  }
+  const uint16_t* mid = luma_row(0);  // is not darker than itself
+  words_of_row(
+      view, mid, luma_row,
+      [&](const uint16_t* const* around, uint8_t* out) { compare_row(mid, around, view.array.width, out); }, bytes,
+      view.row(y) + static_cast<size_t>(plane_census(phase)) * view.stride);
 }
 
 // Which neighbours are static, at whole (phase 0) or fractional positions, and the count of columns that lack one.
-void valid_row(const View& view, int y, int phase, const uint8_t* none) {
-  static const Reach reach;
+void valid_row(const View& view, int y, int phase, const uint8_t* none, uint8_t* bytes) {
   const size_t stride = view.stride;
   const auto static_row = [&](int dy) {
     const int at = y + dy;
     const bool outside = at < 0 || at >= view.array.height;
     return (outside ? none : view.row(at) + plane_static(phase) * stride) + kBlock;
   };
-  uint8_t* out = view.row(y) + plane_valid(phase) * stride + kBlock;
-  for (int group = 0; group < kCensusBytes; ++group) {
-    const uint8_t* around[8];
-    for (int i = 0; i < 8; ++i) {
-      const int n = 8 * group + i;
-      around[i] = n < reach.count ? static_row(reach.list[n].dy) + reach.list[n].dx : none + kBlock;
-    }
-    gather_bits(around, view.array.width, out + group * stride);
-  }
-  const uint8_t* rows = view.row(y);
-  const uint8_t* centre = rows + plane_static(phase) * stride;
-  const uint8_t* bits = rows + plane_valid(phase) * stride;
+  uint8_t* words = view.row(y) + plane_valid(phase) * stride;
+  words_of_row(
+      view, none + kBlock, static_row,
+      [&](const uint8_t* const* around, uint8_t* out) { gather_bits(around, view.array.width, out); }, bytes, words);
+  const uint8_t* centre = view.row(y) + plane_static(phase) * stride;
   int32_t* count = view.unclear + (static_cast<size_t>(y) * 2 + (phase ? 1 : 0)) * (stride + 1);
   count[0] = 0;
   for (size_t x = 0; x < stride; ++x) {
-    uint8_t all = bits[7 * stride + x] == kLastBits ? 0xff : 0;
-    for (int group = 0; group < kCensusBytes - 1; ++group) all &= bits[group * stride + x];
-    count[x + 1] = count[x] + !(all == 0xff && centre[x]);
+    uint64_t word;
+    std::memcpy(&word, words + kWord * x, sizeof(word));
+    count[x + 1] = count[x] + !(word == kAllValid && centre[x]);
   }
 }
 
@@ -171,6 +174,7 @@ void census(const Array& array, const uint8_t* colour, const uint8_t* is_static,
 #pragma omp parallel
     {
       std::vector<int16_t> padded(3 * static_cast<size_t>(array.width + 3));
+      std::vector<uint8_t> bytes(kWord * static_cast<size_t>(array.width));
 #pragma omp for schedule(static)
       for (int y = 0; y < height; ++y) {
         std::memset(view.row(y), 0, row_bytes);
@@ -179,8 +183,8 @@ void census(const Array& array, const uint8_t* colour, const uint8_t* is_static,
 #pragma omp for schedule(static)
       for (int y = 0; y < height; ++y) {
         for (int phase = 0; phase < 4; ++phase)
-          census_row(view, y, phase, luma.data() + phase * line, line, none.data());
-        for (int phase = 0; phase < 2; ++phase) valid_row(view, y, phase, no_static.data());
+          census_row(view, y, phase, luma.data() + phase * line, line, none.data(), bytes.data());
+        for (int phase = 0; phase < 2; ++phase) valid_row(view, y, phase, no_static.data(), bytes.data());
       }
     }
   }

@@ -12,18 +12,18 @@ constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;  // many.py FULL_VOTE
 constexpr int kBlock = 64;       // columns that are matched together, and empty columns on either side of a row
 
-// Everything matching reads of a row of one camera, as byte planes of one stride: rows [K, H, kPlanes, stride], column
-// x at x + kBlock. Outside the image all is 0. Phase p is the sample at x + p / 4.
-constexpr int kCensusBytes = 8;
-constexpr int plane_census(int phase) { return phase * kCensusBytes; }
-constexpr int plane_colour(int phase) { return 4 * kCensusBytes + 3 * phase; }
-constexpr int plane_valid(int phase) { return 4 * kCensusBytes + 12 + (phase ? kCensusBytes : 0); }
-constexpr int plane_static(int phase) { return 6 * kCensusBytes + 12 + (phase ? 1 : 0); }
-constexpr int kPlanes = 6 * kCensusBytes + 14;
+// Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x + kBlock. The
+// words of census and valid take 8 planes. Outside the image all is 0. Phase p is the sample at x + p / 4.
+constexpr int kWord = 8;
+constexpr int plane_census(int phase) { return phase * kWord; }
+constexpr int plane_valid(int phase) { return 4 * kWord + (phase ? kWord : 0); }
+constexpr int plane_colour(int phase) { return 6 * kWord + 3 * phase; }
+constexpr int plane_static(int phase) { return 6 * kWord + 12 + (phase ? 1 : 0); }
+constexpr int kPlanes = 6 * kWord + 14;
 
 struct FeatureRows {
-  const uint8_t* planes;    // [K, H, kPlanes, stride]
-  const int32_t* unclear;   // [K, H, 2, stride + 1]: columns before it that lack a valid bit, whole and fractional
+  const uint8_t* planes;   // [K, H, kPlanes, stride]
+  const int32_t* unclear;  // [K, H, 2, stride + 1]: columns before it that lack a valid bit, whole and fractional
   int stride;
 
   const uint8_t* row(int camera, int height, int y) const {
@@ -101,6 +101,6 @@ void for_each_run(int from, int to, Offset offset_at, Use use) {
 }
 
 // Transposes bytes: out[x * out_stride + i] = rows[i * row_stride + x], x < width, i < count.
-void transpose(const uint8_t* rows, int row_stride, int count, int width, uint8_t* out, size_t out_stride);
+void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out, size_t out_stride);
 
 }  // namespace seepast

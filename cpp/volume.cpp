@@ -14,42 +14,19 @@ namespace seepast {
 namespace {
 
 constexpr int kMaxPairs = 64;
-typedef uint64_t Word __attribute__((may_alias, aligned(1)));
-
-// Where a block of one camera is read at one candidate. `planes` points at the block's first column in plane 0.
+constexpr int kScales = 64;  // entries of census_scale, two vectors of 32
+typedef uint16_t Lanes __attribute__((vector_size(64)));
+// Where a block of one camera is read at one candidate.
 struct Block {
-  const uint8_t* planes;  // null: no ray of this block exists
-  int phase;
-  bool clear;  // every neighbour of every sample is static
-};
-
-// Bits of a ^ b (& valid), counted per byte column over the 8 planes of the census.
-template <bool kMasked>
-inline __attribute__((always_inline)) void count_bits(const uint8_t* a, const uint8_t* b, const uint8_t* va,
-                                                      const uint8_t* vb, size_t stride, uint8_t* differing,
-                                                      uint8_t* valid) {
-  const auto nibbles = [](uint64_t t) {
-    t -= (t >> 1) & 0x5555555555555555ull;
-    return (t & 0x3333333333333333ull) + ((t >> 2) & 0x3333333333333333ull);
-  };
-  const auto fold = [](uint64_t t) { return (t & 0x0f0f0f0f0f0f0f0full) + ((t >> 4) & 0x0f0f0f0f0f0f0f0full); };
-  Word* out = reinterpret_cast<Word*>(differing);
-  Word* out_valid = reinterpret_cast<Word*>(valid);
-  for (int w = 0; w < kBlock / 8; ++w) {
-    const auto at = [w, stride](const uint8_t* from, int plane) {
-      return static_cast<uint64_t>(*reinterpret_cast<const Word*>(from + plane * stride + 8 * w));
-    };
-    const auto both = [&](int p) { return at(va, p) & at(vb, p); };
-    const auto bits = [&](int p) {
-      const uint64_t t = at(a, p) ^ at(b, p);
-      return nibbles(kMasked ? t & both(p) : t);
-    };
-    out[w] = fold(bits(0) + bits(1)) + fold(bits(2) + bits(3)) + fold(bits(4) + bits(5)) + fold(bits(6) + bits(7));
-    if (kMasked)
-      out_valid[w] = fold(nibbles(both(0)) + nibbles(both(1))) + fold(nibbles(both(2)) + nibbles(both(3))) +
-                     fold(nibbles(both(4)) + nibbles(both(5))) + fold(nibbles(both(6)) + nibbles(both(7)));
+  const uint8_t* row;  // null: no ray of this block exists
+  int start, phase;    // column of the padded row
+  bool clear;          // every neighbour of every sample is static
+  const uint8_t* plane(int plane, size_t stride) const { return row + plane * stride + start; }
+  const uint64_t* words(int plane, size_t stride) const {
+    return reinterpret_cast<const uint64_t*>(row + plane * stride) + start;
   }
-}
+  bool operator==(const Block& other) const = default;
+};
 
 inline __attribute__((always_inline)) uint8_t apart(uint8_t p, uint8_t q) {
   return static_cast<uint8_t>(p > q ? p - q : q - p);
@@ -69,26 +46,43 @@ inline __attribute__((always_inline)) void colour_costs(const uint8_t* a, const 
   }
 }
 
+// census_scale[valid[x]]: a permutation of vectors where the machine has one (the loop would be a gather).
+inline __attribute__((always_inline)) void look_up(const uint16_t* table, const uint8_t* valid, uint16_t* out) {
+  Lanes low, high;
+  std::memcpy(&low, table, sizeof(low));
+  std::memcpy(&high, table + kScales / 2, sizeof(high));
+  for (int x = 0; x < kBlock; ++x) out[x] = valid[x];
+  for (int x = 0; x < kBlock; x += kScales / 2) {
+    Lanes index;
+    std::memcpy(&index, out + x, sizeof(index));
+    const Lanes found = __builtin_shuffle(low, high, index);
+    std::memcpy(out + x, &found, sizeof(found));
+  }
+}
+
 // Cost of one pair of rays for a block: reference_multiview.pair_cost.
-SEEPAST_CLONES
-void pair_block(const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* __restrict out) {
+inline __attribute__((always_inline)) void match_pair(const Block& a, const Block& b, size_t stride,
+                                                      const PairCostParams& params, uint8_t* __restrict out) {
   uint8_t differing[kBlock], valid[kBlock], both[kBlock];
   uint16_t cost[kBlock], scale[kBlock];
-  colour_costs(a.planes + plane_colour(a.phase) * stride, b.planes + plane_colour(b.phase) * stride, stride, params,
-               cost);
-  const uint8_t *ca = a.planes + plane_census(a.phase) * stride, *cb = b.planes + plane_census(b.phase) * stride;
+  colour_costs(a.plane(plane_colour(a.phase), stride), b.plane(plane_colour(b.phase), stride), stride, params, cost);
+  const uint64_t *ca = a.words(plane_census(a.phase), stride), *cb = b.words(plane_census(b.phase), stride);
   if (a.clear && b.clear) {
-    count_bits<false>(ca, cb, nullptr, nullptr, stride, differing, valid);
+    for (int x = 0; x < kBlock; ++x) differing[x] = static_cast<uint8_t>(__builtin_popcountll(ca[x] ^ cb[x]));
     const uint16_t all = params.census_scale[62];
     for (int x = 0; x < kBlock; ++x)
       out[x] = static_cast<uint8_t>(static_cast<uint16_t>(differing[x] * all + cost[x]) >> 8);
     return;
   }
-  count_bits<true>(ca, cb, a.planes + plane_valid(a.phase) * stride, b.planes + plane_valid(b.phase) * stride, stride,
-                   differing, valid);
-  const uint8_t *sa = a.planes + plane_static(a.phase) * stride, *sb = b.planes + plane_static(b.phase) * stride;
+  const uint64_t *va = a.words(plane_valid(a.phase), stride), *vb = b.words(plane_valid(b.phase), stride);
+  for (int x = 0; x < kBlock; ++x) {
+    const uint64_t known = va[x] & vb[x];
+    valid[x] = static_cast<uint8_t>(__builtin_popcountll(known));
+    differing[x] = static_cast<uint8_t>(__builtin_popcountll((ca[x] ^ cb[x]) & known));
+  }
+  const uint8_t *sa = a.plane(plane_static(a.phase), stride), *sb = b.plane(plane_static(b.phase), stride);
   for (int x = 0; x < kBlock; ++x) both[x] = sa[x] & sb[x];
-  for (int x = 0; x < kBlock; ++x) scale[x] = params.census_scale[valid[x]];
+  look_up(params.census_scale, valid, scale);
   const uint16_t few = static_cast<uint16_t>(params.few);
   for (int x = 0; x < kBlock; ++x) {
     const uint16_t part = static_cast<uint16_t>(differing[x] * scale[x] + (scale[x] ? 0 : few));
@@ -96,6 +90,32 @@ void pair_block(const Block& a, const Block& b, size_t stride, const PairCostPar
     out[x] = both[x] ? sum : kNoPair;
   }
 }
+
+SEEPAST_CLONES
+void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
+  match_pair(a, b, stride, params, out);
+}
+
+using MatchPair = void (*)(const Block&, const Block&, size_t, const PairCostParams&, uint8_t*);
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+// Machines that count the bits of eight words at once (target_clones cannot name what they are).
+__attribute__((target("arch=x86-64-v4,avx512vpopcntdq"))) void match_pair_counting(const Block& a, const Block& b,
+                                                                                  size_t stride,
+                                                                                  const PairCostParams& params,
+                                                                                  uint8_t* out) {
+  match_pair(a, b, stride, params, out);
+}
+
+MatchPair best_match_pair() {
+  __builtin_cpu_init();
+  const bool counts = __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512bw") &&
+                      __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq");
+  return counts ? match_pair_counting : match_pair_anywhere;
+}
+#else
+MatchPair best_match_pair() { return match_pair_anywhere; }
+#endif
 
 // Mean of the smaller half of `count` rows of costs, kNoPair where none exists. Reorders the rows.
 SEEPAST_CLONES
@@ -128,6 +148,21 @@ void smaller_half(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
     const uint16_t cost = half[x] == 1 ? sum[x] : mean;
     out[x] = half[x] ? static_cast<uint8_t>(cost) : kNoPair;
   }
+}
+
+// Puts what the view does not see itself, and what no pair sees, into a block of costs.
+SEEPAST_CLONES
+void finish_block(const uint8_t* __restrict own, const uint8_t* __restrict theirs, const uint8_t* __restrict any,
+                  uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
+  for (int x = 0; x < kBlock; ++x) {
+    const uint8_t cost = own[x] ? out[x] : theirs[x], without = any[x] ? lone : unseen;
+    out[x] = cost != kNoPair ? cost : without;
+  }
+}
+
+SEEPAST_CLONES
+void add_static(const uint8_t* __restrict is_static, uint8_t* __restrict any) {
+  for (int x = 0; x < kBlock; ++x) any[x] |= is_static[x];
 }
 
 // One row of the volume.
@@ -166,7 +201,7 @@ struct RowMatcher {
         const auto offset_at = [&](int x) { return quarter_offset(ray_dx(shift[k], x, array.cx)); };
         int end = last;
         const int offset = offset_at(first);
-        if (offset_at(last - 1) != offset) {
+        if (shift[k].zoom != 0.0f && offset_at(last - 1) != offset) {
           int same = first;
           while (end - same > 1) {
             const int middle = same + (end - same) / 2;
@@ -189,35 +224,33 @@ struct RowMatcher {
 
   Block block_of(int k, int row, int from, int quarter) const {
     const int start = from + (quarter >> 2) + kBlock, phase = quarter & 3;
-    if (row < 0 || row >= array.height || start < 0 || start > features.stride - kBlock) return {nullptr, 0, false};
+    if (row < 0 || row >= array.height || start < 0 || start > features.stride - kBlock)
+      return {nullptr, 0, 0, false};
     const int32_t* unclear = features.unclear_row(k, array.height, row, phase);
-    return {features.row(k, array.height, row) + start, phase, unclear[start + kBlock] == unclear[start]};
+    return {features.row(k, array.height, row), start, phase, unclear[start + kBlock] == unclear[start]};
   }
 
   void costs(const uint8_t* own, int seen, int count, uint8_t* out) {
     if (seen) mean_of_pairs(0, out);
-    if (seen < count) {
-      uint8_t theirs[kBlock];
-      mean_of_pairs(1, seen ? theirs : out);
-      if (seen)
-        for (int x = 0; x < kBlock; ++x) out[x] = own[x] ? out[x] : theirs[x];
-    }
-    uint8_t any[kBlock] = {};
-    for (int k = 0; k < array.cameras; ++k) {
-      if (!blocks[k].planes) continue;
-      const uint8_t* is_static = blocks[k].planes + static_cast<size_t>(plane_static(blocks[k].phase)) * features.stride;
-      for (int x = 0; x < kBlock; ++x) any[x] |= is_static[x];
-    }
-    const uint8_t lone = static_cast<uint8_t>(params.lone), unseen = static_cast<uint8_t>(params.unseen);
-    for (int x = 0; x < kBlock; ++x) out[x] = out[x] != kNoPair ? out[x] : (any[x] ? lone : unseen);
+    uint8_t theirs[kBlock], any[kBlock] = {};
+    if (seen < count) mean_of_pairs(1, theirs);
+    for (int k = 0; k < array.cameras; ++k)
+      if (blocks[k].row) add_static(blocks[k].plane(plane_static(blocks[k].phase), features.stride), any);
+    finish_block(own, theirs, any, static_cast<uint8_t>(params.lone), static_cast<uint8_t>(params.unseen), out);
   }
 
   void mean_of_pairs(int kind, uint8_t* out) {
     int count = 0;
     for (int p = 0; p < pair_counts[kind]; ++p) {
       const Block &a = blocks[pairs[kind][2 * p]], &b = blocks[pairs[kind][2 * p + 1]];
-      if (!a.planes || !b.planes) continue;
-      pair_block(a, b, features.stride, params, rows[count++]);
+      if (!a.row || !b.row) continue;
+      Matched& pair = matched[kind][p];
+      if (!(pair.a == a && pair.b == b)) {  // near cameras move less than a quarter pixel from candidate to candidate
+        match_pair_here(a, b, features.stride, params, pair.costs);
+        pair.a = a;
+        pair.b = b;
+      }
+      std::memcpy(rows[count++], pair.costs, kBlock);
     }
     smaller_half(rows, count, out);
   }
@@ -231,7 +264,13 @@ struct RowMatcher {
   const PairCostParams& params;
   std::vector<RayShift> shifts;  // [candidate][camera]
   std::vector<uint8_t> tile;     // [candidate][kBlock]
+  const MatchPair match_pair_here = best_match_pair();
   Block blocks[kMaxCameras];
+  struct Matched {
+    Block a{}, b{};
+    uint8_t costs[kBlock];
+  };
+  Matched matched[2][kMaxPairs];  // the last costs of every pair
   uint8_t rows[kMaxPairs][kBlock];
 };
 
@@ -250,7 +289,7 @@ inline __attribute__((always_inline)) void transpose_8x8(uint64_t* rows) {
 }  // namespace
 
 SEEPAST_CLONES
-void transpose(const uint8_t* rows, int row_stride, int count, int width, uint8_t* out, size_t out_stride) {
+void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out, size_t out_stride) {
   for (int i = 0; i < count; i += 8)
     for (int x = 0; x < width; x += 8) {
       if (i + 8 > count || x + 8 > width) {

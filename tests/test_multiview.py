@@ -93,11 +93,11 @@ def test_describe(name):
     inner = slice(_core.BLOCK, _core.BLOCK + width)
     rows = np.moveaxis(found.planes, 2, 1)  # [K, planes, H, stride]
     assert not np.delete(rows, np.r_[inner], axis=-1)[:, -2:].any()  # nothing is static beside the image
-    census = rows[:, :32, :, inner].reshape(len(rows), 4, 8, -1, width)
-    assert_same(np.moveaxis(expected.census[..., None].view(np.uint8), -1, 2), census)
-    assert_same(np.moveaxis(expected.colour, -1, 2), rows[:, 32:44, :, inner].reshape(len(rows), 4, 3, -1, width))
-    valid = rows[:, 44:60, :, inner].reshape(len(rows), 2, 8, -1, width)
-    assert_same(np.moveaxis(expected.valid[:, :2, ..., None].view(np.uint8), -1, 2), valid)
+    words = found.planes[:, :, :48].reshape(*found.planes.shape[:2], 6, -1).view(np.uint64)[..., inner]
+    words = np.moveaxis(words, 2, 1)  # [K, census at 4 phases and valid at 2, H, W]
+    assert_same(expected.census, words[:, :4])
+    assert_same(expected.valid[:, :2], words[:, 4:])
+    assert_same(np.moveaxis(expected.colour, -1, 2), rows[:, 48:60, :, inner].reshape(len(rows), 4, 3, -1, width))
     assert_same(expected.static[:, :2], rows[:, 60:62, :, inner].astype(bool))
 
 

@@ -44,11 +44,13 @@ def see_past(
     final = Penalties.of(o.final_small_penalty, o.final_large_penalty, o.final_least_penalty, o.final_dynamic_penalty)
 
     with clock("range"):  # candidates: between what the static surfaces span
-        grid = static_range(colour, static, geometry, options, backend)
+        fine = static_range(colour, static, geometry, options, backend)
+        grid = thinned(fine, o.view_step)
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = [backend.volume(features, view, grid, PairCosts.of(o)) for view in views]
+        costs = [backend.volume(features, view, fine if k == r else grid, PairCosts.of(o)) for k, view in enumerate(views)]
+        wanted_costs, costs[r] = costs[r], np.ascontiguousarray(costs[r][..., :: o.view_step])
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
         found = np.stack([backend.aggregate(costs[k], colour[k], static[k], grid, first) for k in range(K)])
     found, confidence = confirmed(found, colour, static, views, o, backend, clock)
@@ -63,9 +65,9 @@ def see_past(
         found, confidence = confirmed(np.stack(better), colour, static, views, o, backend, clock)
 
     with clock("votes"):  # the wanted view, its own vote included
-        energy = backend.votes(costs[r], found, confidence, static[r], geometry, grid, -1, VoteWeights.of(o))
+        energy = backend.votes(wanted_costs, found, confidence, static[r], geometry, fine, -1, VoteWeights.of(o))
     with clock("aggregate"):
-        d = backend.aggregate(energy, colour[r], static[r], grid, final)
+        d = backend.aggregate(energy, colour[r], static[r], fine, final)
     if o.planes:
         with clock("planes"):  # where fewer than two static views agree
             agree, _ = backend.witnesses(d, found, static, geometry, -1, agreement(o))
@@ -147,7 +149,13 @@ def static_range(
     step = max(1, round(EIGHTHS * options.range.step))
     start = round(EIGHTHS * float(np.floor(low)))
     count = int(np.ceil((EIGHTHS * high - start) / step)) + 1
-    return DisparityGrid(start, step, -(-count // LANES) * LANES)
+    whole = LANES * o.view_step
+    return DisparityGrid(start, step, -(-count // whole) * whole)
+
+
+def thinned(grid: DisparityGrid, every: int) -> DisparityGrid:
+    """Every so many-th candidate."""
+    return DisparityGrid(grid.first, grid.step * every, -(-grid.count // every))
 
 
 LANES = 32  # candidates are a multiple of these, so that no loop over them has a remainder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import cv2
@@ -52,11 +53,22 @@ def aggregate(
     costs: np.ndarray, image: np.ndarray, static: np.ndarray, grid: DisparityGrid, penalties: Penalties
 ) -> np.ndarray:
     out = np.empty(static.shape, np.uint16)
-    scratch = np.empty(costs.shape, np.uint16)
     _core.aggregate(
-        costs, image, _bytes(static), _grid(grid), penalties.small, penalties.large, penalties.dynamic, scratch, out
-    )
+        costs, image, _bytes(static), _grid(grid), penalties.small, penalties.large, penalties.dynamic,
+        _scratch(costs.shape), out,
+    )  # fmt: skip
     return cv2.medianBlur(out, 5)
+
+
+_kept = threading.local()
+
+
+def _scratch(shape: tuple[int, ...]) -> np.ndarray:
+    """uint16 of this shape, the same memory for every call of a thread: fresh pages would cost more than the sums."""
+    size = int(np.prod(shape))
+    if getattr(_kept, "sums", None) is None or _kept.sums.size < size:
+        _kept.sums = np.empty(size, np.uint16)
+    return _kept.sums[:size].reshape(shape)
 
 
 def witnesses(
