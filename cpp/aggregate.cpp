@@ -1,9 +1,10 @@
 // Stage "aggregate" of the many-view method: semi-global matching along 8 paths (Hirschmueller 2008).
 //
-// Two sweeps over the rows, four paths each: one goes down with the paths from the left and from the three pixels above,
-// the other goes up with the rest. They start at once, on two threads; each stores its sums in its first half of the
-// image, and in its second half finds the other's there, adds them and picks each pixel's candidate. Paths over pixels
-// outside the image have cost 0, which lets a path that enters the image begin with the matching cost alone.
+// Two sweeps over the rows, four paths each: one goes down with the paths from the left and from the three
+// pixels above, the other goes up with the rest. They start at once, on two threads; each stores its sums in
+// its first half of the image, and in its second half finds the other's there, adds them and picks each
+// pixel's candidate. Paths over pixels outside the image have cost 0, which lets a path that enters the image
+// begin with the matching cost alone.
 #include <algorithm>
 #include <cstdlib>
 #include <vector>
@@ -15,7 +16,7 @@ namespace {
 
 constexpr uint16_t kBeyond = 20000;  // cost of candidates outside the range; sums of two stay below 2^16
 constexpr int kGuard = 32;           // entries of it between two pixels' candidates
-constexpr int kPaths = 4;            // of a sweep: from the row before at x - 1, x, x + 1, and from the same row
+constexpr int kPaths = 4;  // of a sweep: from the row before at x - 1, x, x + 1, and from the same row
 
 inline __attribute__((always_inline)) uint16_t least(uint16_t a, uint16_t b) { return a < b ? a : b; }
 
@@ -26,21 +27,24 @@ struct Step {
   uint16_t* to;
 };
 
-inline __attribute__((always_inline)) uint16_t next(uint8_t cost, const uint16_t* before, int i, uint16_t lowest,
-                                                    uint16_t far, uint16_t small) {
+inline __attribute__((always_inline)) uint16_t next(uint8_t cost, const uint16_t* before, int i,
+                                                    uint16_t lowest, uint16_t far, uint16_t small) {
   const uint16_t beside = static_cast<uint16_t>(least(before[i - 1], before[i + 1]) + small);
   return static_cast<uint16_t>(static_cast<uint16_t>(least(least(before[i], beside), far) - lowest) + cost);
 }
 
 // Four paths' steps into one pixel: total = their costs, plus `sum` if given. Writes the paths' new minima.
 template <bool kAdd>
-inline __attribute__((always_inline)) void four_steps(const uint8_t* costs, int count, uint16_t small, const Step* steps,
-                                                      const uint16_t* sum, uint16_t* total, uint16_t* minima) {
+inline __attribute__((always_inline)) void four_steps(const uint8_t* costs, int count, uint16_t small,
+                                                      const Step* steps, const uint16_t* sum, uint16_t* total,
+                                                      uint16_t* minima) {
   const uint16_t *b0 = steps[0].before, *b1 = steps[1].before, *b2 = steps[2].before, *b3 = steps[3].before;
   uint16_t *t0 = steps[0].to, *t1 = steps[1].to, *t2 = steps[2].to, *t3 = steps[3].to;
   const uint16_t l0 = steps[0].lowest, l1 = steps[1].lowest, l2 = steps[2].lowest, l3 = steps[3].lowest;
-  const uint16_t f0 = static_cast<uint16_t>(l0 + steps[0].large), f1 = static_cast<uint16_t>(l1 + steps[1].large),
-                 f2 = static_cast<uint16_t>(l2 + steps[2].large), f3 = static_cast<uint16_t>(l3 + steps[3].large);
+  const uint16_t f0 = static_cast<uint16_t>(l0 + steps[0].large),
+                 f1 = static_cast<uint16_t>(l1 + steps[1].large),
+                 f2 = static_cast<uint16_t>(l2 + steps[2].large),
+                 f3 = static_cast<uint16_t>(l3 + steps[3].large);
   uint16_t m0 = 65535, m1 = 65535, m2 = 65535, m3 = 65535;
 #pragma GCC ivdep
   for (int i = 0; i < count; ++i) {
@@ -89,7 +93,8 @@ struct Steps {
         if (y + dy[way] < 0) continue;
         const int first = std::max(0, -dx[way]), last = width - std::max(0, dx[way]);
         for (int x = first; x < last; ++x) {
-          const size_t p = static_cast<size_t>(y) * width + x, q = p + static_cast<ptrdiff_t>(dy[way]) * width + dx[way];
+          const size_t p = static_cast<size_t>(y) * width + x,
+                       q = p + static_cast<ptrdiff_t>(dy[way]) * width + dx[way];
           const uint8_t *a = image + 3 * p, *b = image + 3 * q;
           const int step = std::abs(a[0] - b[0]) + std::abs(a[1] - b[1]) + std::abs(a[2] - b[2]);
           values[way * pixels + p] =
@@ -97,7 +102,9 @@ struct Steps {
         }
       }
   }
-  const uint16_t* row(int way, int y) const { return values.data() + way * pixels + static_cast<size_t>(y) * width; }
+  const uint16_t* row(int way, int y) const {
+    return values.data() + way * pixels + static_cast<size_t>(y) * width;
+  }
 
   int width;
   size_t pixels;
@@ -106,8 +113,15 @@ struct Steps {
 
 // One sweep: direction 1 goes down and right, -1 up and left.
 struct Sweep {
-  Sweep(const uint8_t* costs, int height, int width, const Grid& grid, int small, const Steps& large, int direction)
-      : costs(costs), height(height), width(width), grid(grid), small(small), large(large), direction(direction) {
+  Sweep(const uint8_t* costs, int height, int width, const Grid& grid, int small, const Steps& large,
+        int direction)
+      : costs(costs),
+        height(height),
+        width(width),
+        grid(grid),
+        small(small),
+        large(large),
+        direction(direction) {
     pitch = grid.count + kGuard;
     columns = width + 2;
     entries.assign(2 * size(), kBeyond);
@@ -121,8 +135,8 @@ struct Sweep {
   }
 
   size_t size() const { return static_cast<size_t>(kPaths) * columns * pitch + kGuard; }
-  // Path costs of the pixel at column x of the sweep's n-th row; columns -1 and width, and the row before the first,
-  // lie outside the image.
+  // Path costs of the pixel at column x of the sweep's n-th row; columns -1 and width, and the row before the
+  // first, lie outside the image.
   uint16_t* entry(int n, int path, int x) {
     return entries.data() + (n & 1) * size() + kGuard + (static_cast<size_t>(path) * columns + x + 1) * pitch;
   }
@@ -132,7 +146,8 @@ struct Sweep {
 
   // Penalties between the pixels of row y and those before them on every path.
   void prepare(int y) {
-    const int from = direction > 0 ? y : y + 1;  // steps are stored with the lower, or right, of the two pixels
+    const int from =
+        direction > 0 ? y : y + 1;  // steps are stored with the lower, or right, of the two pixels
     const bool first = from <= 0 || from >= height;
     for (int x = 0; x < width; ++x) {
       p2[3][x] = direction > 0 ? large.row(0, y)[x] : (x + 1 < width ? large.row(0, y)[x + 1] : 0);

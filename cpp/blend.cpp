@@ -1,4 +1,5 @@
-// Stage "refocus" of the many-view method: the weighted mean of the chosen rays' colours, sampled with Keys' cubic.
+// Stage "refocus" of the many-view method: the weighted mean of the chosen rays' colours, sampled with Keys'
+// cubic.
 #include <bit>
 #include <cmath>
 
@@ -24,7 +25,8 @@ void bicubic(const Array& array, const uint8_t* image, int x, int y, float dx, f
   cubic_weights(dy - static_cast<float>(top), wy);
   for (int c = 0; c < 3; ++c) out[c] = 0.0f;
   for (int j = 0; j < 4; ++j) {
-    const uint8_t* row = image + static_cast<size_t>(clamp(y + top + j - 1, 0, array.height - 1)) * array.width * 3;
+    const uint8_t* row =
+        image + static_cast<size_t>(clamp(y + top + j - 1, 0, array.height - 1)) * array.width * 3;
     float line[3] = {0, 0, 0};
     for (int i = 0; i < 4; ++i) {
       const uint8_t* pixel = row + 3 * clamp(x + left + i - 1, 0, array.width - 1);

@@ -1,4 +1,5 @@
-// Stage "describe" of the many-view method: cubic samples at quarter pixels, their census and which of it is static.
+// Stage "describe" of the many-view method: cubic samples at quarter pixels, their census and which of it is
+// static.
 #include <algorithm>
 #include <cstring>
 #include <vector>
@@ -14,7 +15,8 @@ constexpr uint64_t kAllValid = (uint64_t{1} << 62) - 1;  // there are 62 neighbo
 // Four samples wide interpolation of one interleaved row; `value` in 128ths, luma in 16 bits.
 SEEPAST_CLONES
 void sample_row(const int16_t* __restrict padded, int width, size_t channel_stride, const int32_t* weights,
-                const int32_t* luma, uint8_t* __restrict out, size_t out_stride, uint16_t* __restrict out_luma) {
+                const int32_t* luma, uint8_t* __restrict out, size_t out_stride,
+                uint16_t* __restrict out_luma) {
   const int w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3];
   const int16_t *b = padded, *g = b + channel_stride, *r = g + channel_stride;
   uint8_t *ob = out, *og = ob + out_stride, *orr = og + out_stride;
@@ -33,14 +35,15 @@ void sample_row(const int16_t* __restrict padded, int width, size_t channel_stri
 
 // Eight comparisons of a row with rows around it: bit i of out[x] is around[i][x] < mid[x].
 SEEPAST_CLONES
-void compare_row(const uint16_t* __restrict mid, const uint16_t* const* around, int width, uint8_t* __restrict out) {
+void compare_row(const uint16_t* __restrict mid, const uint16_t* const* around, int width,
+                 uint8_t* __restrict out) {
   const uint16_t *a0 = around[0], *a1 = around[1], *a2 = around[2], *a3 = around[3], *a4 = around[4],
                  *a5 = around[5], *a6 = around[6], *a7 = around[7];
   for (int x = 0; x < width; ++x) {
     const uint16_t m = mid[x];
     const auto bit = [m](uint16_t a, int i) { return static_cast<uint16_t>(a < m ? 1 << i : 0); };
-    out[x] = static_cast<uint8_t>(bit(a0[x], 0) | bit(a1[x], 1) | bit(a2[x], 2) | bit(a3[x], 3) | bit(a4[x], 4) |
-                                  bit(a5[x], 5) | bit(a6[x], 6) | bit(a7[x], 7));
+    out[x] = static_cast<uint8_t>(bit(a0[x], 0) | bit(a1[x], 1) | bit(a2[x], 2) | bit(a3[x], 3) |
+                                  bit(a4[x], 4) | bit(a5[x], 5) | bit(a6[x], 6) | bit(a7[x], 7));
   }
 }
 
@@ -104,9 +107,11 @@ void samples(const View& view, int y, const int32_t* cubic, const int32_t* luma_
   for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
 }
 
-// Calls row_of(dy) for the neighbours' rows and fills the words of row y: `group` fills one byte of every word.
+// Calls row_of(dy) for the neighbours' rows and fills the words of row y: `group` fills one byte of every
+// word.
 template <class Element, class RowOf, class Group>
-void words_of_row(const View& view, const Element* nothing, RowOf row_of, Group group, uint8_t* bytes, uint8_t* words) {
+void words_of_row(const View& view, const Element* nothing, RowOf row_of, Group group, uint8_t* bytes,
+                  uint8_t* words) {
   static const Reach reach;
   const int width = view.array.width;
   for (int byte = 0; byte < kWord; ++byte) {
@@ -120,7 +125,8 @@ void words_of_row(const View& view, const Element* nothing, RowOf row_of, Group 
   transpose(bytes, width, kWord, width, words + kBlock * kWord, kWord);
 }
 
-// Census of row y at one phase from the luma rows of that phase; `none` is an empty row, `bytes` 8 rows of scratch.
+// Census of row y at one phase from the luma rows of that phase; `none` is an empty row, `bytes` 8 rows of
+// scratch.
 void census_row(const View& view, int y, int phase, const uint16_t* luma, size_t line, const uint16_t* none,
                 uint8_t* bytes) {
   const auto luma_row = [&](int dy) {
@@ -130,11 +136,12 @@ void census_row(const View& view, int y, int phase, const uint16_t* luma, size_t
   const uint16_t* mid = luma_row(0);  // is not darker than itself
   words_of_row(
       view, mid, luma_row,
-      [&](const uint16_t* const* around, uint8_t* out) { compare_row(mid, around, view.array.width, out); }, bytes,
-      view.row(y) + static_cast<size_t>(plane_census(phase)) * view.stride);
+      [&](const uint16_t* const* around, uint8_t* out) { compare_row(mid, around, view.array.width, out); },
+      bytes, view.row(y) + static_cast<size_t>(plane_census(phase)) * view.stride);
 }
 
-// Which neighbours are static, at whole (phase 0) or fractional positions, and the count of columns that lack one.
+// Which neighbours are static, at whole (phase 0) or fractional positions, and the count of columns that lack
+// one.
 void valid_row(const View& view, int y, int phase, const uint8_t* none, uint8_t* bytes) {
   const size_t stride = view.stride;
   const auto static_row = [&](int dy) {
@@ -145,7 +152,8 @@ void valid_row(const View& view, int y, int phase, const uint8_t* none, uint8_t*
   uint8_t* words = view.row(y) + plane_valid(phase) * stride;
   words_of_row(
       view, none + kBlock, static_row,
-      [&](const uint8_t* const* around, uint8_t* out) { gather_bits(around, view.array.width, out); }, bytes, words);
+      [&](const uint8_t* const* around, uint8_t* out) { gather_bits(around, view.array.width, out); }, bytes,
+      words);
   const uint8_t* centre = view.row(y) + plane_static(phase) * stride;
   int32_t* count = view.unclear + (static_cast<size_t>(y) * 2 + (phase ? 1 : 0)) * (stride + 1);
   count[0] = 0;

@@ -1,6 +1,7 @@
 // Completion of unconfirmed disparities: reference_multiview.planes.
 //
-// Blocks of columns that hold a wanted pixel are fitted together, neighbour by neighbour, so that the sums vectorise.
+// Blocks of columns that hold a wanted pixel are fitted together, neighbour by neighbour, so that the sums
+// vectorise.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -15,7 +16,8 @@ constexpr int kFitted = 32;  // columns at once
 
 // A view in separate planes with an empty margin, so that no neighbour needs a test.
 struct Padded {
-  Padded(int height, int width, int margin, const uint16_t* disparity, const uint8_t* image, const uint8_t* trust)
+  Padded(int height, int width, int margin, const uint16_t* disparity, const uint8_t* image,
+         const uint8_t* trust)
       : margin(margin), stride(width + 2 * margin + kFitted) {
     const size_t size = static_cast<size_t>(stride) * (height + 2 * margin);
     d.resize(size);
@@ -40,13 +42,15 @@ struct Padded {
 };
 
 struct Sums {
-  float w[kFitted], x[kFitted], y[kFitted], xx[kFitted], xy[kFitted], yy[kFitted], e[kFitted], ex[kFitted], ey[kFitted];
+  float w[kFitted], x[kFitted], y[kFitted], xx[kFitted], xy[kFitted], yy[kFitted], e[kFitted], ex[kFitted],
+      ey[kFitted];
 };
 
 // Adds the neighbours of one line of offsets, `j` below, to the sums.
 SEEPAST_CLONES
 void add_line(const int32_t* d, const int16_t* b, const int16_t* g, const int16_t* r, const uint8_t* trusted,
-              const float* flat, ptrdiff_t line, int j, const PlaneParams& params, const float* nearness, Sums& sums) {
+              const float* flat, ptrdiff_t line, int j, const PlaneParams& params, const float* nearness,
+              Sums& sums) {
   float w_[kFitted] = {}, x_[kFitted] = {}, xx_[kFitted] = {}, e_[kFitted] = {}, ex_[kFitted] = {};
   for (int i = -params.radius, n = 0; i <= params.radius; i += params.stride, ++n) {
     const ptrdiff_t to = line + i;
@@ -113,8 +117,8 @@ void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, co
       const size_t at = view.at(y, from);
       for (int j = -params.radius, n = 0; j <= params.radius; j += params.stride, ++n)
         add_line(view.d.data() + at, view.colour[0].data() + at, view.colour[1].data() + at,
-                 view.colour[2].data() + at, view.trusted.data() + at, flat, static_cast<ptrdiff_t>(j) * view.stride, j,
-                 params, params.nearness + n * taps, sums);
+                 view.colour[2].data() + at, view.trusted.data() + at, flat,
+                 static_cast<ptrdiff_t>(j) * view.stride, j, params, params.nearness + n * taps, sums);
       for (int x = from; x < to; ++x) {
         if (!wanted[row + x] || !(sums.w[x - from] >= params.need)) continue;
         const double moved = std::floor(plane_height(sums, x - from, params.ridge) + 0.5);

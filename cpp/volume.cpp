@@ -1,7 +1,7 @@
 // Stage "volume" of the many-view method: matching costs of one view over all pairs of static rays.
 //
-// Blocks of 64 columns are matched candidate by candidate: at one candidate a block of a camera is read with one
-// constant shift, so that everything vectorises; a tile of candidates is then transposed into [x][d].
+// Blocks of 64 columns are matched candidate by candidate: at one candidate a block of a camera is read with
+// one constant shift, so that everything vectorises; a tile of candidates is then transposed into [x][d].
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
@@ -34,8 +34,10 @@ inline __attribute__((always_inline)) uint8_t apart(uint8_t p, uint8_t q) {
 
 // Colour part of the cost in 256ths, and what rounds it.
 inline __attribute__((always_inline)) void colour_costs(const uint8_t* a, const uint8_t* b, size_t stride,
-                                                        const PairCostParams& params, uint16_t* __restrict out) {
-  const uint16_t limit = static_cast<uint16_t>(params.colour_limit), weight = static_cast<uint16_t>(params.colour_weight),
+                                                        const PairCostParams& params,
+                                                        uint16_t* __restrict out) {
+  const uint16_t limit = static_cast<uint16_t>(params.colour_limit),
+                 weight = static_cast<uint16_t>(params.colour_weight),
                  cap = static_cast<uint16_t>(params.colour_cap);
   const uint8_t *a1 = a + stride, *a2 = a1 + stride, *b1 = b + stride, *b2 = b1 + stride;
   for (int x = 0; x < kBlock; ++x) {
@@ -47,7 +49,8 @@ inline __attribute__((always_inline)) void colour_costs(const uint8_t* a, const 
 }
 
 // census_scale[valid[x]]: a permutation of vectors where the machine has one (the loop would be a gather).
-inline __attribute__((always_inline)) void look_up(const uint16_t* table, const uint8_t* valid, uint16_t* out) {
+inline __attribute__((always_inline)) void look_up(const uint16_t* table, const uint8_t* valid,
+                                                   uint16_t* out) {
   Lanes low, high;
   std::memcpy(&low, table, sizeof(low));
   std::memcpy(&high, table + kScales / 2, sizeof(high));
@@ -65,7 +68,8 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
                                                       const PairCostParams& params, uint8_t* __restrict out) {
   uint8_t differing[kBlock], valid[kBlock], both[kBlock];
   uint16_t cost[kBlock], scale[kBlock];
-  colour_costs(a.plane(plane_colour(a.phase), stride), b.plane(plane_colour(b.phase), stride), stride, params, cost);
+  colour_costs(a.plane(plane_colour(a.phase), stride), b.plane(plane_colour(b.phase), stride), stride, params,
+               cost);
   const uint64_t *ca = a.words(plane_census(a.phase), stride), *cb = b.words(plane_census(b.phase), stride);
   if (a.clear && b.clear) {
     for (int x = 0; x < kBlock; ++x) differing[x] = static_cast<uint8_t>(__builtin_popcountll(ca[x] ^ cb[x]));
@@ -92,7 +96,8 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
 }
 
 SEEPAST_CLONES
-void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
+void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const PairCostParams& params,
+                         uint8_t* out) {
   match_pair(a, b, stride, params, out);
 }
 
@@ -100,10 +105,8 @@ using MatchPair = void (*)(const Block&, const Block&, size_t, const PairCostPar
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
 // Machines that count the bits of eight words at once (target_clones cannot name what they are).
-__attribute__((target("arch=x86-64-v4,avx512vpopcntdq"))) void match_pair_counting(const Block& a, const Block& b,
-                                                                                  size_t stride,
-                                                                                  const PairCostParams& params,
-                                                                                  uint8_t* out) {
+__attribute__((target("arch=x86-64-v4,avx512vpopcntdq"))) void match_pair_counting(
+    const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
   match_pair(a, b, stride, params, out);
 }
 
@@ -152,8 +155,8 @@ void smaller_half(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
 
 // Puts what the view does not see itself, and what no pair sees, into a block of costs.
 SEEPAST_CLONES
-void finish_block(const uint8_t* __restrict own, const uint8_t* __restrict theirs, const uint8_t* __restrict any,
-                  uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
+void finish_block(const uint8_t* __restrict own, const uint8_t* __restrict theirs,
+                  const uint8_t* __restrict any, uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
   for (int x = 0; x < kBlock; ++x) {
     const uint8_t cost = own[x] ? out[x] : theirs[x], without = any[x] ? lone : unseen;
     out[x] = cost != kNoPair ? cost : without;
@@ -167,8 +170,9 @@ void add_static(const uint8_t* __restrict is_static, uint8_t* __restrict any) {
 
 // One row of the volume.
 struct RowMatcher {
-  RowMatcher(const Array& array, const FeatureRows& features, int view, const Grid& grid, const int32_t* with_own,
-             int with_own_count, const int32_t* others, int others_count, const PairCostParams& params)
+  RowMatcher(const Array& array, const FeatureRows& features, int view, const Grid& grid,
+             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
+             const PairCostParams& params)
       : array(array),
         features(features),
         view(view),
@@ -184,11 +188,13 @@ struct RowMatcher {
   void match_row(int y, uint8_t* out) {
     for (int from = 0; from < array.width; from += kBlock) {
       const int to = std::min(from + kBlock, array.width);
-      const uint8_t* own = features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
+      const uint8_t* own =
+          features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
       int seen = 0;
       for (int x = 0; x < to - from; ++x) seen += own[x];
       for (int i = 0; i < grid.count; ++i) match_block(y, from, to, i, own, seen, tile.data() + i * kBlock);
-      transpose(tile.data(), kBlock, grid.count, to - from, out + static_cast<size_t>(from) * grid.count, grid.count);
+      transpose(tile.data(), kBlock, grid.count, to - from, out + static_cast<size_t>(from) * grid.count,
+                grid.count);
     }
   }
 
@@ -236,7 +242,8 @@ struct RowMatcher {
     if (seen < count) mean_of_pairs(1, theirs);
     for (int k = 0; k < array.cameras; ++k)
       if (blocks[k].row) add_static(blocks[k].plane(plane_static(blocks[k].phase), features.stride), any);
-    finish_block(own, theirs, any, static_cast<uint8_t>(params.lone), static_cast<uint8_t>(params.unseen), out);
+    finish_block(own, theirs, any, static_cast<uint8_t>(params.lone), static_cast<uint8_t>(params.unseen),
+                 out);
   }
 
   void mean_of_pairs(int kind, uint8_t* out) {
@@ -245,7 +252,8 @@ struct RowMatcher {
       const Block &a = blocks[pairs[kind][2 * p]], &b = blocks[pairs[kind][2 * p + 1]];
       if (!a.row || !b.row) continue;
       Matched& pair = matched[kind][p];
-      if (!(pair.a == a && pair.b == b)) {  // near cameras move less than a quarter pixel from candidate to candidate
+      if (!(pair.a == a &&
+            pair.b == b)) {  // near cameras move less than a quarter pixel from candidate to candidate
         match_pair_here(a, b, features.stride, params, pair.costs);
         pair.a = a;
         pair.b = b;
@@ -289,7 +297,8 @@ inline __attribute__((always_inline)) void transpose_8x8(uint64_t* rows) {
 }  // namespace
 
 SEEPAST_CLONES
-void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out, size_t out_stride) {
+void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out,
+               size_t out_stride) {
   for (int i = 0; i < count; i += 8)
     for (int x = 0; x < width; x += 8) {
       if (i + 8 > count || x + 8 > width) {
@@ -304,8 +313,9 @@ void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uin
     }
 }
 
-void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const int32_t* with_own,
-            int with_own_count, const int32_t* others, int others_count, const PairCostParams& params, uint8_t* out) {
+void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid,
+            const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
+            const PairCostParams& params, uint8_t* out) {
 #pragma omp parallel
   {
     RowMatcher matcher(array, features, view, grid, with_own, with_own_count, others, others_count, params);

@@ -1,4 +1,5 @@
-// What the views say about each other: witnesses of a view's disparities, labels, and votes on its candidates.
+// What the views say about each other: witnesses of a view's disparities, labels, and votes on its
+// candidates.
 #include <algorithm>
 #include <cstdlib>
 #include <vector>
@@ -8,10 +9,11 @@
 namespace seepast {
 namespace {
 
-// Rays of a row of pixels at their own disparities: where each lands (-1: outside), and what it expects there.
+// Rays of a row of pixels at their own disparities: where each lands (-1: outside), and what it expects
+// there.
 SEEPAST_CLONES
-void land_row(const uint16_t* __restrict d, int y, int width, int height, float ax, float ay, float az, float sx,
-              float sy, float cx, float cy, int32_t* __restrict at, int32_t* __restrict expected) {
+void land_row(const uint16_t* __restrict d, int y, int width, int height, float ax, float ay, float az,
+              float sx, float sy, float cx, float cy, int32_t* __restrict at, int32_t* __restrict expected) {
   for (int x = 0; x < width; ++x) {
     const float units = static_cast<float>(d[x]);
     const float offset[kOffsets] = {ax, ay, az, sx, sy};
@@ -36,8 +38,8 @@ struct Landing {
 
 // Sums of the votes for and against a row of candidates, from one camera's run of pixels.
 SEEPAST_CLONES
-void add_votes(const uint16_t* __restrict disparity, const uint8_t* __restrict confidence, int count, int expected,
-               int16_t* __restrict support, int16_t* __restrict violation) {
+void add_votes(const uint16_t* __restrict disparity, const uint8_t* __restrict confidence, int count,
+               int expected, int16_t* __restrict support, int16_t* __restrict violation) {
   // u16 arithmetic wraps, so that one subtraction gives e + 4 px in range wherever |e| <= 4 px
   constexpr int16_t kReach = 4 * kUnits;
   const uint16_t low = static_cast<uint16_t>(std::max(0, expected - kReach));
@@ -58,9 +60,10 @@ void add_votes(const uint16_t* __restrict disparity, const uint8_t* __restrict c
 }
 
 SEEPAST_CLONES
-void vote_energy(const int16_t* __restrict support, const int16_t* __restrict violation, const uint8_t* __restrict is_static,
-                 int count, const VoteWeights& weights, const int16_t* hidden_by, int16_t* __restrict nearer,
-                 int16_t* __restrict margin, uint8_t* __restrict out) {
+void vote_energy(const int16_t* __restrict support, const int16_t* __restrict violation,
+                 const uint8_t* __restrict is_static, int count, const VoteWeights& weights,
+                 const int16_t* hidden_by, int16_t* __restrict nearer, int16_t* __restrict margin,
+                 uint8_t* __restrict out) {
   const int16_t base = static_cast<int16_t>(weights.base), gain = static_cast<int16_t>(weights.gain),
                 hide = static_cast<int16_t>(weights.hide);
   constexpr int16_t kTwo = 2 * kFullVote, kOne = kFullVote;
@@ -97,7 +100,8 @@ struct Ballot {
       for (int k = 0; k < array.cameras; ++k) {
         const RayShift shift = array.shift(k, grid.value(i));
         shifts.push_back(shift);
-        expected.push_back(floor_int(grid.value(i) * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f));
+        expected.push_back(
+            floor_int(grid.value(i) * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f));
       }
     support.resize(array.width);
     violation.resize(array.width);
@@ -107,15 +111,18 @@ struct Ballot {
     turned.resize(tile.size());
   }
 
-  void row(int y, const uint8_t* costs, const uint16_t* disparities, const uint8_t* confidence, const uint8_t* is_static,
-           const VoteWeights& weights, uint8_t* out) {
+  void row(int y, const uint8_t* costs, const uint16_t* disparities, const uint8_t* confidence,
+           const uint8_t* is_static, const VoteWeights& weights, uint8_t* out) {
     const int width = array.width;
     std::fill(nearer.begin(), nearer.end(), 0);
     for (int i = grid.count - 1; i >= 0; --i) {
       candidate(i, y, disparities, confidence);
-      const int16_t* hidden_by = i + lag < grid.count ? margins.data() + static_cast<size_t>((i + lag) % (lag + 1)) * width : nullptr;
+      const int16_t* hidden_by = i + lag < grid.count
+                                     ? margins.data() + static_cast<size_t>((i + lag) % (lag + 1)) * width
+                                     : nullptr;
       vote_energy(support.data(), violation.data(), is_static, width, weights, hidden_by, nearer.data(),
-                  margins.data() + static_cast<size_t>(i % (lag + 1)) * width, tile.data() + static_cast<size_t>(i) * width);
+                  margins.data() + static_cast<size_t>(i % (lag + 1)) * width,
+                  tile.data() + static_cast<size_t>(i) * width);
     }
     transpose(tile.data(), width, grid.count, width, turned.data(), grid.count);
     add_costs(turned.data(), costs, tile.size(), static_cast<uint16_t>(weights.volume), out);
@@ -145,9 +152,9 @@ struct Ballot {
 
   const Array& array;
   const Grid& grid;
-  int skip, lag;                      // lag: candidates to the first that hides, 2 px nearer
-  std::vector<RayShift> shifts;       // [candidate][camera]
-  std::vector<int> expected;          // likewise: what a view that agrees has there, 32nds of a pixel
+  int skip, lag;                 // lag: candidates to the first that hides, 2 px nearer
+  std::vector<RayShift> shifts;  // [candidate][camera]
+  std::vector<int> expected;     // likewise: what a view that agrees has there, 32nds of a pixel
   std::vector<int16_t> support, violation, nearer;
   std::vector<int16_t> margins;       // max(0, s - v) of the last lag + 1 candidates
   std::vector<uint8_t> tile, turned;  // [candidate][x], [x][candidate]
@@ -155,8 +162,8 @@ struct Ballot {
 
 }  // namespace
 
-void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static, int skip,
-               int tolerance, uint8_t* agree, uint8_t* farther) {
+void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
+               int skip, int tolerance, uint8_t* agree, uint8_t* farther) {
 #pragma omp parallel
   {
     Landing landing(array.width);
@@ -180,8 +187,8 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
   }
 }
 
-void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
-            int tolerance, uint16_t* shown, uint16_t* passing) {
+void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
+            const uint8_t* is_static, int tolerance, uint16_t* shown, uint16_t* passing) {
 #pragma omp parallel
   {
     Landing landing(array.width);
@@ -213,7 +220,8 @@ void votes(const Array& array, const uint8_t* costs, const uint16_t* disparities
 #pragma omp for schedule(dynamic, 4)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      ballot.row(y, costs + row * grid.count, disparities, confidence, is_static + row, weights, out + row * grid.count);
+      ballot.row(y, costs + row * grid.count, disparities, confidence, is_static + row, weights,
+                 out + row * grid.count);
     }
   }
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ class Case:
         return sorted({0, self.geometry.reference, self.geometry.cameras - 1})
 
 
-@lru_cache(maxsize=None)
+@cache
 def case(name: str) -> Case:
     return Case(SCENES[name](), STEEP.get(name, 1.0))
 
@@ -75,9 +75,9 @@ def assert_same(first, second) -> None:
         assert np.array_equal(a, b), f"{(a != b).mean():.1%} differ, first at {np.argwhere(a != b)[0]}"
 
 
-@pytest.fixture(params=[1, 2], ids=["1 thread", "2 threads"], autouse=True)
-def threads(request):
-    _core.set_threads(request.param)
+@pytest.fixture(autouse=True)
+def threads():
+    _core.set_threads(3)
     yield
     _core.set_threads(0)
 
@@ -107,7 +107,9 @@ def test_volume(name):
     features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
     for k in c.some_views:
         for grid in GRIDS[1:]:
-            assert_same(*(b.volume(f, c.views[k], grid, COSTS) for b, f in zip((reference, cpu), features, strict=True)))
+            assert_same(
+                *(b.volume(f, c.views[k], grid, COSTS) for b, f in zip((reference, cpu), features, strict=True))
+            )
 
 
 @every_scene
@@ -164,7 +166,9 @@ def test_blend(name):
         )
 
 
-@pytest.mark.parametrize("name", ["2 cameras", "3, middle, residual", "5, last, no-ray borders", "noise", "all dynamic"])
+@pytest.mark.parametrize(
+    "name", ["2 cameras", "3, middle, residual", "5, last, no-ray borders", "noise", "all dynamic"]
+)
 @pytest.mark.parametrize("dynamic_only", [False, True])
 def test_whole_method(name, dynamic_only):
     scene = SCENES[name]()
@@ -178,6 +182,17 @@ def test_whole_method(name, dynamic_only):
     if dynamic_only:
         assert not found[0]["disparity"][own].any()
         assert (found[0]["coverage"][own] == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_change_nothing(threads):
+    scene = make_scene(5, (120, 50), reference=2, residual=True, colour=True, masks="soft")
+    frame = Frame(scene.colour, scene.grey, scene.dynamic)
+    found = []
+    for count in (3, threads):
+        _core.set_threads(count)
+        found.append(tuple(multiview.see_past(frame, scene.geometry, OPTIONS, cpu, False, Clock())[0].values()))
+    assert_same(*found)
 
 
 # -------------------------------------------------------------------------------------------- the method itself
@@ -215,7 +230,7 @@ def test_never_seen_pixels_are_flagged():
 
 def test_planes_straighten_slants():
     """A slanted wall of whole-pixel steps with a doubtful strip: the strip comes back on the wall's plane."""
-    y, x = np.mgrid[:40, :60]
+    x = np.mgrid[:40, :60][1]
     truth = UNITS * 20 + 8 * x
     d = truth.copy()
     strip = (x >= 25) & (x < 33)

@@ -68,7 +68,9 @@ class PairCosts:
         scale = np.where(np.arange(64) < 8, 0, np.round(25600 / n)).astype(np.uint16)
         weight, cap = round(256 * options.colour_weight), round(256 * options.colour_cap)
         limit = min(765, cap // max(weight, 1) + 1)
-        return PairCosts(scale, round(256 * options.few_cost), weight, cap, limit, options.lone_cost, options.unseen_cost)
+        return PairCosts(
+            scale, round(256 * options.few_cost), weight, cap, limit, options.lone_cost, options.unseen_cost
+        )
 
 
 @dataclass(frozen=True, eq=False)

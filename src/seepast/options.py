@@ -123,8 +123,10 @@ class MultiviewOptions(StageOptions):
     enabled: bool = option(False, "", None, None, "this method instead of the paper's stages")
     rounds: int = option(2, "rounds", 1, 4, "1: no votes between the views before the wanted one's own")
     threshold: float = option(0.5, "", 0, 1, "a pixel is static where its prior P(static) is at least this")
-    range_scale: int = option(2, "", 1, 4, "views are reduced this often to find the range of disparities")
-    view_step: int = option(1, "", 1, 8, "views are matched at every so many-th candidate, the wanted one's last pass at all")
+    range_scale: int = option(4, "", 1, 8, "views are reduced this often to find the range of disparities")
+    view_step: int = option(
+        1, "", 1, 8, "views are matched at every so many-th candidate, the wanted one's last pass at all"
+    )
     colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")
     colour_cap: float = option(33.0, "", 0, 100, "it is never more; the census is 100 at most")
     few_cost: float = option(40.0, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")

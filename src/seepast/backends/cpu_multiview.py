@@ -72,7 +72,12 @@ def _scratch(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def witnesses(
-    disparity: np.ndarray, disparities: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, skip: int, tolerance: int
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    skip: int,
+    tolerance: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     agree, farther = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
     _core.witnesses(
@@ -132,7 +137,16 @@ def blend(
 ) -> np.ndarray:
     out = np.empty(colour.shape[1:], np.uint8)
     _core.blend(
-        geometry.offsets, *geometry.center, geometry.reference, colour, rays, clear, near, disparity, _bytes(wanted), out
+        geometry.offsets,
+        *geometry.center,
+        geometry.reference,
+        colour,
+        rays,
+        clear,
+        near,
+        disparity,
+        _bytes(wanted),
+        out,
     )
     return out
 

@@ -36,7 +36,18 @@ from ..many import (
 )
 from .reference import fill_unseen, quarter_positions, ray_offsets
 
-__all__ = ["aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "witnesses"]
+__all__ = [
+    "aggregate",
+    "blend",
+    "confidence_of",
+    "describe",
+    "fill_unseen",
+    "labels",
+    "planes",
+    "volume",
+    "votes",
+    "witnesses",
+]
 
 
 # ---------------------------------------------------------------------------------------------- describe
@@ -71,7 +82,7 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     padded = np.pad(colour.astype(np.int32), ((0, 0), (0, 0), (1, 2), (0, 0)), mode="edge")
     beside = np.pad(static[..., 1:], ((0, 0), (0, 0), (0, 1)))
     for p in range(4):
-        value = sum(int(CUBIC[p][i]) * padded[:, :, i : i + width] for i in range(4))  # 128 x the sample
+        value = np.tensordot(CUBIC[p], [padded[:, :, i : i + width] for i in range(4)], 1)  # 128 x the sample
         phases[:, p] = ((value + 64) >> 7).clip(0, 255)
         luma = (((value * LUMA).sum(-1) + 64) >> 7).clip(0, 65535)
         usable[:, p] = static & beside if p else static
@@ -106,7 +117,9 @@ def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, cos
     out = np.empty((height, width, grid.count), np.uint8)
     for i, d in enumerate(grid.values):
         rays = [ray_samples(features, geometry, k, d) for k in range(K)]
-        mine, theirs = (smaller_half([pair_cost(rays[j], rays[k], costs) for j, k in pairs]) for pairs in (with_own, others))
+        mine, theirs = (
+            smaller_half([pair_cost(rays[j], rays[k], costs) for j, k in pairs]) for pairs in (with_own, others)
+        )
         cost = np.where(own, mine, theirs)
         any_ray = np.logical_or.reduce([ray[3] for ray in rays])
         out[..., i] = np.where(cost == NO_PAIR, np.where(any_ray, costs.lone, costs.unseen), cost)
@@ -234,7 +247,12 @@ def seen_scale(geometry: ArrayGeometry, k: int, d) -> np.ndarray:
 
 
 def witnesses(
-    disparity: np.ndarray, disparities: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, skip: int, tolerance: int
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    skip: int,
+    tolerance: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """How many views but `skip` are static at x^k and see there what the view sees: uint8 [H, W]; and whether one
     sees farther: bool [H, W]. tolerance in 32nds of a pixel."""
@@ -311,7 +329,9 @@ def votes(
             nearer = np.maximum(nearer, margins[-1 - lag])
         energy = weights.base + weights.gain * (np.minimum(v, 2 * FULL_VOTE) - np.minimum(s, 2 * FULL_VOTE))
         energy = (np.maximum(0, energy + hide * np.minimum(nearer, FULL_VOTE)) + 64) >> 7
-        out[..., i] = np.minimum(255, np.minimum(255, energy) + ((costs[..., i].astype(np.int32) * weights.volume + 64) >> 7))
+        out[..., i] = np.minimum(
+            255, np.minimum(255, energy) + ((costs[..., i].astype(np.int32) * weights.volume + 64) >> 7)
+        )
     return out
 
 
@@ -338,7 +358,9 @@ def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lo
 # ------------------------------------------------------------------------------------------------- planes
 
 
-def planes(disparity: np.ndarray, trusted: np.ndarray, wanted: np.ndarray, image: np.ndarray, static: np.ndarray) -> np.ndarray:
+def planes(
+    disparity: np.ndarray, trusted: np.ndarray, wanted: np.ndarray, image: np.ndarray, static: np.ndarray
+) -> np.ndarray:
     """Reads `wanted` pixels from the plane through the trusted ones around them: uint16 [H, W] in 32nds of a pixel.
 
     Smoothness alone is fronto-parallel; where no second view confirms a disparity it is off by a few pixels on a
@@ -406,7 +428,13 @@ def plane_height(sums: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def blend(
-    colour: np.ndarray, rays: np.ndarray, clear: np.ndarray, near: np.ndarray, geometry: ArrayGeometry, disparity: np.ndarray, wanted: np.ndarray
+    colour: np.ndarray,
+    rays: np.ndarray,
+    clear: np.ndarray,
+    near: np.ndarray,
+    geometry: ArrayGeometry,
+    disparity: np.ndarray,
+    wanted: np.ndarray,
 ) -> np.ndarray:
     """Weighted mean of the rays' colours, cubic samples at x^k: uint8 [H, W, 3], the view's own where not wanted.
 
