@@ -181,41 +181,38 @@ struct RowMatcher {
         pair_counts{with_own_count, others_count},
         params(params) {
     for (int i = 0; i < grid.count; ++i)
-      for (int k = 0; k < array.cameras; ++k) shifts.push_back(array.shift(k, grid.value(i)));
+      for (int k = 0; k < array.cameras; ++k) {
+        const RayShift shift = array.shift(k, grid.value(i));
+        const int left = quarter_offset(ray_dx(shift, 0, array.cx));
+        const int right = quarter_offset(ray_dx(shift, array.width - 1, array.cx));
+        aims.push_back({shift, left, left == right, 0});
+      }
     tile.resize(static_cast<size_t>(grid.count) * kBlock);
   }
 
   void match_row(int y, uint8_t* out) {
+    for (Aim& aim : aims) aim.row = y + whole_offset(ray_dy(aim.shift, y, array.cy));
     for (int from = 0; from < array.width; from += kBlock) {
       const int to = std::min(from + kBlock, array.width);
       const uint8_t* own =
           features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
       int seen = 0;
       for (int x = 0; x < to - from; ++x) seen += own[x];
-      for (int i = 0; i < grid.count; ++i) match_block(y, from, to, i, own, seen, tile.data() + i * kBlock);
+      for (int i = 0; i < grid.count; ++i) match_block(from, to, i, own, seen, tile.data() + i * kBlock);
       transpose(tile.data(), kBlock, grid.count, to - from, out + static_cast<size_t>(from) * grid.count,
                 grid.count);
     }
   }
 
   // Candidate i for columns [from, to), runs of one shift at a time.
-  void match_block(int y, int from, int to, int i, const uint8_t* own, int seen, uint8_t* out) {
-    const RayShift* shift = shifts.data() + static_cast<size_t>(i) * array.cameras;
+  void match_block(int from, int to, int i, const uint8_t* own, int seen, uint8_t* out) {
+    const Aim* aim = aims.data() + static_cast<size_t>(i) * array.cameras;
     for (int first = from; first < to;) {
       int last = to;
       for (int k = 0; k < array.cameras; ++k) {
-        const auto offset_at = [&](int x) { return quarter_offset(ray_dx(shift[k], x, array.cx)); };
-        int end = last;
-        const int offset = offset_at(first);
-        if (shift[k].zoom != 0.0f && offset_at(last - 1) != offset) {
-          int same = first;
-          while (end - same > 1) {
-            const int middle = same + (end - same) / 2;
-            (offset_at(middle) == offset ? same : end) = middle;
-          }
-        }
-        last = end;
-        blocks[k] = block_of(k, y + whole_offset(ray_dy(shift[k], y, array.cy)), from, offset);
+        int offset = aim[k].quarter;
+        if (!aim[k].same_everywhere) last = end_of_run(aim[k].shift, first, last, offset);
+        blocks[k] = block_of(k, aim[k].row, from, offset);
       }
       if (first == from && last == to) {
         costs(own, seen, to - from, out);
@@ -226,6 +223,17 @@ struct RowMatcher {
       }
       first = last;
     }
+  }
+
+  // The end of the run of columns from `first` on that have its quarter-pixel offset, which is returned too.
+  int end_of_run(const RayShift& shift, int first, int last, int& offset) const {
+    int end = last;
+    for_each_run(
+        first, last, [&](int x) { return quarter_offset(ray_dx(shift, x, array.cx)); },
+        [&](int from, int to, int found) {
+          if (from == first) end = to, offset = found;
+        });
+    return end;
   }
 
   Block block_of(int k, int row, int from, int quarter) const {
@@ -270,8 +278,14 @@ struct RowMatcher {
   const int32_t* pairs[2];
   int pair_counts[2];
   const PairCostParams& params;
-  std::vector<RayShift> shifts;  // [candidate][camera]
-  std::vector<uint8_t> tile;     // [candidate][kBlock]
+  struct Aim {
+    RayShift shift;
+    int quarter;  // offset of column 0
+    bool same_everywhere;
+    int row;  // where the row that is being matched lands
+  };
+  std::vector<Aim> aims;      // [candidate][camera]
+  std::vector<uint8_t> tile;  // [candidate][kBlock]
   const MatchPair match_pair_here = best_match_pair();
   Block blocks[kMaxCameras];
   struct Matched {

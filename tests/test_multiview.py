@@ -1,4 +1,4 @@
-"""The many-view method: every stage of the cpu backend against the NumPy reference, bit for bit, and what it must do."""
+"""The many-view method: every stage of the cpu backend against NumPy, bit for bit, and what it must do."""
 
 from __future__ import annotations
 

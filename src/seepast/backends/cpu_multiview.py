@@ -44,7 +44,8 @@ def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, cos
     out = np.empty((height, width, grid.count), np.uint8)
     _core.volume(
         geometry.offsets, *geometry.center, features.planes, features.unclear, geometry.reference, _grid(grid), *pairs,
-        costs.census_scale, costs.few, costs.colour_weight, costs.colour_cap, costs.colour_limit, costs.lone, costs.unseen, out,
+        costs.census_scale, costs.few, costs.colour_weight, costs.colour_cap, costs.colour_limit, costs.lone,
+        costs.unseen, out,
     )  # fmt: skip
     return out
 

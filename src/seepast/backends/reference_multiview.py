@@ -412,7 +412,7 @@ def colour_likeness(step: np.ndarray) -> np.ndarray:
 
 
 def plane_height(sums: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Value of the fitted plane at the pixel itself, float64 in 32nds of a pixel, and whether enough weight bears it."""
+    """The fitted plane at the pixel itself, float64 in 32nds of a pixel, and whether enough weight bears it."""
     enough = sums["w"] >= np.float32(PLANE.need)
     s = {name: value.astype(np.float64) for name, value in sums.items()}
     one = 1.0 / np.where(enough, s["w"], 1.0)
