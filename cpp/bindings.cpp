@@ -12,6 +12,8 @@
 namespace nb = nanobind;
 using namespace seepast;
 
+void bind_multiview(nb::module_& m);  // bindings_multiview.cpp
+
 namespace {
 
 template <class T, int Dimensions>
@@ -33,6 +35,7 @@ Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, s
 }  // namespace
 
 NB_MODULE(_core, m) {
+  bind_multiview(m);
   nb::class_<Grid>(m, "Grid").def(nb::init<int, int, int>());
   nb::class_<SupportParams>(m, "SupportParams").def(nb::init<int, int, int, float, float>());
   const auto free_lock = nb::call_guard<nb::gil_scoped_release>();

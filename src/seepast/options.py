@@ -117,6 +117,43 @@ class RefocusOptions(StageOptions):
 
 
 @dataclass(frozen=True)
+class MultiviewOptions(StageOptions):
+    """The many-view method (multiview.py): every camera is a reference once, then they vote."""
+
+    enabled: bool = option(False, "", None, None, "this method instead of the paper's stages")
+    rounds: int = option(2, "rounds", 1, 4, "1: no votes between the views before the wanted one's own")
+    threshold: float = option(0.5, "", 0, 1, "a pixel is static where its prior P(static) is at least this")
+    range_scale: int = option(4, "", 1, 8, "views are reduced this often to find the range of disparities")
+    view_step: int = option(
+        1, "", 1, 8, "views are matched at every so many-th candidate, the wanted one's last pass at all"
+    )
+    colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")
+    colour_cap: float = option(33.0, "", 0, 100, "it is never more; the census is 100 at most")
+    few_cost: float = option(40.0, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
+    lone_cost: int = option(25, "", 0, 250, "cost where only one static ray exists")
+    unseen_cost: int = option(30, "", 0, 250, "cost where none exists")
+    small_penalty: int = option(8, "", 0, 200, "P1, one candidate's step between neighbouring pixels")
+    large_penalty: float = option(150.0, "", 0, 1000, "P2, more than that, divided by 1 + colour step / 10")
+    least_penalty: float = option(20.0, "", 0, 1000, "P2 is never less")
+    dynamic_penalty: int = option(60, "", 0, 1000, "P2 where either pixel is dynamic")
+    final_small_penalty: int = option(4, "", 0, 200, "P1 of the wanted view's last pass")
+    final_large_penalty: float = option(40.0, "", 0, 1000, "P2 of the last pass")
+    final_least_penalty: float = option(15.0, "", 0, 1000, "its least")
+    final_dynamic_penalty: int = option(40, "", 0, 1000, "its P2 where either pixel is dynamic")
+    tolerance: float = option(1.0, "px", 0.1, 4, "disparities of two views that differ by no more agree")
+    lone_confidence: float = option(0.7, "", 0, 1, "of a disparity that no other view confirms or denies")
+    doubtful_confidence: float = option(0.15, "", 0, 1, "where another view sees farther")
+    planes: bool = option(True, "", None, None, "unconfirmed disparities are read from the plane of sure ones around")
+    vote_base: float = option(40.0, "", 0, 60, "energy of a candidate without votes")
+    vote_gain: float = option(20.0, "", 0, 30, "taken off per vote for it, put on per view that sees through it; tens")
+    vote_hide: float = option(50.0, "", 0, 60, "put on behind a supported candidate, where the view is blind; tens")
+    vote_volume: float = option(0.5, "", 0, 1, "weight of the matching cost beside the votes")
+    label_tolerance: float = option(1.5, "px", 0.1, 16, "a ray shows the surface if its view's disparity is this near")
+    camera_falloff: float = option(4.0, "", 0, 16, "colours weigh 1 / distance^this of their cameras")
+    edge_weight: float = option(0.02, "", 0, 1, "weight of colours within 2 px of a mask")
+
+
+@dataclass(frozen=True)
 class Options:
     """All stages' options. Immutable; `updated` returns a changed copy."""
 
@@ -126,6 +163,7 @@ class Options:
     disparity: DisparityOptions = DisparityOptions()
     segmentation: SegmentationOptions = SegmentationOptions()
     refocus: RefocusOptions = RefocusOptions()
+    multiview: MultiviewOptions = MultiviewOptions()
 
     @staticmethod
     def preset(name: str) -> Options:
@@ -155,4 +193,7 @@ def _nearest(key: str, known: Mapping[str, Any]) -> str:
     return f"did you mean {' or '.join(close)}?" if close else f"options are {', '.join(known)}"
 
 
-PRESETS: dict[str, Options] = {"paper": Options()}
+PRESETS: dict[str, Options] = {
+    "paper": Options(),
+    "accurate": Options(multiview=MultiviewOptions(enabled=True)),
+}

@@ -13,7 +13,7 @@ from types import ModuleType
 
 import numpy as np
 
-from . import backends
+from . import backends, multiview
 from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
 from .frames import Frame, check_frame, rectified_frame
@@ -93,7 +93,7 @@ class Clock:
     def __call__(self, stage: str) -> Iterator[None]:
         start = time.perf_counter()
         yield
-        self.milliseconds[stage] += 1e3 * (time.perf_counter() - start)
+        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
 
 class Reconstructor:
@@ -140,7 +140,10 @@ class Reconstructor:
         with clock("rectify"):
             frame = rectified_frame(self.rectification, images, masks)
         geometry = self.rectification.geometry
-        found, rounds = see_past(frame, geometry, self.options, self.backend, self.dynamic_only, clock)
+        method, stages = see_past, self.backend
+        if self.options.multiview.enabled:
+            method, stages = multiview.see_past, backends.multiview(self.backend)
+        found, rounds = method(frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
             refined = tuple(
                 self.rectification.masks_to_input(k, to_bytes(found["dynamic"][k]), masks[k])

@@ -25,6 +25,11 @@ def get(name: str) -> ModuleType:
         ) from error
 
 
+def multiview(backend: ModuleType) -> ModuleType:
+    """The many-view stages of the same backend."""
+    return importlib.import_module(f"{backend.__name__}_multiview")
+
+
 def set_threads(backend: ModuleType, threads: int) -> None:
     """Threads for the frames to come, where the backend has any; 0 = all cores. Never changes a result."""
     if hasattr(backend, "set_threads"):

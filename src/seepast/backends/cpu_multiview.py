@@ -1,0 +1,158 @@
+"""The C++ core under the stage names of reference_multiview.py: shapes and glue here, loops in cpp/."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from .. import _core
+from ..candidates import DisparityGrid
+from ..geometry import ArrayGeometry
+from ..many import CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
+from .cpu import _bytes, _grid
+from .reference import FOREGROUND_WEIGHT, NEARER
+from .reference_multiview import confidence_of
+
+__all__ = [
+    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "witnesses"
+]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """planes uint8 [K, H, PLANES, stride] and unclear int32 [K, H, 2, stride + 1]: FeatureRows of cpp/multiview.h."""
+
+    planes: np.ndarray
+    unclear: np.ndarray
+
+
+def describe(colour: np.ndarray, static: np.ndarray) -> Features:
+    K, height, width = static.shape
+    stride = -(-width // _core.BLOCK) * _core.BLOCK + 2 * _core.BLOCK
+    planes = np.empty((K, height, _core.PLANES, stride), np.uint8)
+    unclear = np.empty((K, height, 2, stride + 1), np.int32)
+    _core.census(np.zeros((K, 5), np.float32), colour, _bytes(static), CUBIC, LUMA, planes, unclear)
+    return Features(planes, unclear)
+
+
+def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, costs: PairCosts) -> np.ndarray:
+    width, height = geometry.size
+    pairs = (np.array(p, np.int32).reshape(-1, 2) for p in camera_pairs(geometry.cameras, geometry.reference))
+    out = np.empty((height, width, grid.count), np.uint8)
+    _core.volume(
+        geometry.offsets, *geometry.center, features.planes, features.unclear, geometry.reference, _grid(grid), *pairs,
+        costs.census_scale, costs.few, costs.colour_weight, costs.colour_cap, costs.colour_limit, costs.lone,
+        costs.unseen, out,
+    )  # fmt: skip
+    return out
+
+
+def aggregate(
+    costs: np.ndarray, image: np.ndarray, static: np.ndarray, grid: DisparityGrid, penalties: Penalties
+) -> np.ndarray:
+    out = np.empty(static.shape, np.uint16)
+    _core.aggregate(
+        costs, image, _bytes(static), _grid(grid), penalties.small, penalties.large, penalties.dynamic,
+        _scratch(costs.shape), out,
+    )  # fmt: skip
+    return cv2.medianBlur(out, 5)
+
+
+_kept = threading.local()
+
+
+def _scratch(shape: tuple[int, ...]) -> np.ndarray:
+    """uint16 of this shape, the same memory for every call of a thread: fresh pages would cost more than the sums."""
+    size = int(np.prod(shape))
+    if getattr(_kept, "sums", None) is None or _kept.sums.size < size:
+        _kept.sums = np.empty(size, np.uint16)
+    return _kept.sums[:size].reshape(shape)
+
+
+def witnesses(
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    skip: int,
+    tolerance: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    agree, farther = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
+    _core.witnesses(
+        geometry.offsets, *geometry.center, disparity, disparities, _bytes(static), skip, tolerance, agree, farther
+    )
+    return agree, farther.view(bool)
+
+
+def labels(
+    disparity: np.ndarray, disparities: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, tolerance: int
+) -> tuple[np.ndarray, np.ndarray]:
+    shown, passing = np.empty(disparity.shape, np.uint16), np.empty(disparity.shape, np.uint16)
+    _core.labels(
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), tolerance,
+        shown, passing,
+    )  # fmt: skip
+    return shown, passing
+
+
+def votes(
+    costs: np.ndarray,
+    disparities: np.ndarray,
+    confidence: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    grid: DisparityGrid,
+    skip: int,
+    weights: VoteWeights,
+) -> np.ndarray:
+    out = np.empty_like(costs)
+    _core.votes(
+        geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(grid), skip,
+        weights.base, weights.gain, weights.hide, weights.volume, out,
+    )  # fmt: skip
+    return out
+
+
+def planes(
+    disparity: np.ndarray, trusted: np.ndarray, wanted: np.ndarray, image: np.ndarray, static: np.ndarray
+) -> np.ndarray:
+    out = np.empty_like(disparity)
+    _core.planes(
+        disparity, _bytes(trusted), _bytes(wanted), image, _bytes(static), PLANE.radius, PLANE.stride, PLANE.gate,
+        PLANE.need, PLANE.ridge, PLANE.table, out,
+    )  # fmt: skip
+    return out
+
+
+def blend(
+    colour: np.ndarray,
+    rays: np.ndarray,
+    clear: np.ndarray,
+    near: np.ndarray,
+    geometry: ArrayGeometry,
+    disparity: np.ndarray,
+    wanted: np.ndarray,
+) -> np.ndarray:
+    out = np.empty(colour.shape[1:], np.uint8)
+    _core.blend(
+        geometry.offsets,
+        *geometry.center,
+        geometry.reference,
+        colour,
+        rays,
+        clear,
+        near,
+        disparity,
+        _bytes(wanted),
+        out,
+    )
+    return out
+
+
+def fill_unseen(background: np.ndarray, coverage: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    out = background.copy()
+    _core.fill_unseen(coverage, disparity, NEARER, FOREGROUND_WEIGHT, out)
+    return out

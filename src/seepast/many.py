@@ -1,0 +1,135 @@
+"""Constants and tables of the many-view method that its backends share: all are made here and handed over."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .options import MultiviewOptions
+
+UNITS = 32  # disparities of views are uint16 in 32nds of a pixel over the array
+NO_PAIR = 255  # in costs: no two static rays
+CONFIDENT = 20  # confidence is counted in 20ths
+FULL_VOTE = 2 * CONFIDENT * UNITS  # units of one full vote of a confident view
+
+# Keys' cubic (A = -1/2) at 0, 1/4, 1/2, 3/4 between the second and third of four pixels, in 128ths: exact
+CUBIC = np.array([[0, 128, 0, 0], [-9, 111, 29, -3], [-8, 72, 72, -8], [-3, 29, 111, -9]], np.int32)
+LUMA = np.array([29, 150, 77], np.int32)  # of B, G, R in 256ths
+# neighbours (dy, dx) of the census
+REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-4, 5) if (dy, dx) != (0, 0))
+
+
+def cubic_weights(t: np.ndarray) -> list[np.ndarray]:
+    """Keys' cubic (A = -1/2) of four pixels at -1, 0, 1, 2 for the place t in [0, 1): float32."""
+    f = np.float32
+    near, far = f(1) - t, f(2) - t
+    beyond = f(1) + t
+    return [
+        ((f(-0.5) * beyond + f(2.5)) * beyond - f(4)) * beyond + f(2),
+        (f(1.5) * t - f(2.5)) * t * t + f(1),
+        (f(1.5) * near - f(2.5)) * near * near + f(1),
+        ((f(-0.5) * far + f(2.5)) * far - f(4)) * far + f(2),
+    ]
+
+
+def camera_pairs(cameras: int, view: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Pairs that are matched where `view` sees the static scene itself, and where it does not.
+
+    With more than 6 cameras the latter keep to cameras at most two apart in their order.
+    """
+    others = [k for k in range(cameras) if k != view]
+    with_own = [(view, k) for k in others]
+    without = [(j, k) for j in others for k in others if j < k and (cameras <= 6 or k - j <= 2)]
+    return with_own, without
+
+
+@dataclass(frozen=True, eq=False)
+class PairCosts:
+    """Matching cost of a pair of rays, in 256ths of a cost: uint16 numbers.
+
+    census_scale  uint16 [64]: cost of one differing neighbour, by how many are valid; 0 below 8
+    few           cost of the census there
+    colour_weight, colour_cap   of the sum of |dBGR|, which is cut at colour_limit
+    lone, unseen  costs (whole) with one static ray, with none
+    """
+
+    census_scale: np.ndarray
+    few: int
+    colour_weight: int
+    colour_cap: int
+    colour_limit: int
+    lone: int
+    unseen: int
+
+    @staticmethod
+    def of(options: MultiviewOptions) -> PairCosts:
+        n = np.maximum(np.arange(64), 1)
+        scale = np.where(np.arange(64) < 8, 0, np.round(25600 / n)).astype(np.uint16)
+        weight, cap = round(256 * options.colour_weight), round(256 * options.colour_cap)
+        limit = min(765, cap // max(weight, 1) + 1)
+        return PairCosts(
+            scale, round(256 * options.few_cost), weight, cap, limit, options.lone_cost, options.unseen_cost
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Penalties:
+    """Of a path: small (P1) for one candidate's step; large uint16 [766] (P2) for more, by the colour step
+    sum |dBGR|; dynamic in place of P2 at pixels that are not static."""
+
+    small: int
+    large: np.ndarray
+    dynamic: int
+
+    @staticmethod
+    def of(small: int, large: float, least: float, dynamic: int) -> Penalties:
+        """P2 = max(least, large / (1 + g / 10)), g the mean step of the channels; never below P1."""
+        table = np.maximum(least, large / (1 + np.arange(766) / 30))
+        return Penalties(small, np.maximum(table, small).astype(np.uint16), max(dynamic, small))
+
+
+@dataclass(frozen=True)
+class VoteWeights:
+    """base and volume in 128ths; gain and hide in 128ths per unit of FULL_VOTE: whole tens of energy."""
+
+    base: int
+    gain: int
+    hide: int
+    volume: int
+
+    @staticmethod
+    def of(options: MultiviewOptions) -> VoteWeights:
+        return VoteWeights(
+            round(128 * options.vote_base),
+            round(128 * options.vote_gain / FULL_VOTE),
+            round(128 * options.vote_hide / FULL_VOTE),
+            round(128 * options.vote_volume),
+        )
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Fit of `planes`: pixels of radius and stride, gate in 32nds of a pixel, ridge px^2, least sum of weights."""
+
+    radius: int
+    stride: int
+    gate: int
+    ridge: float
+    need: float
+
+    @property
+    def taps(self) -> range:
+        return range(-self.radius, self.radius + 1, self.stride)
+
+    def nearness(self, j: int, i: int) -> np.float32:
+        """1 / (1 + 4 rho^2 / radius^2)."""
+        return np.float32(1 / (1 + 4 * (i * i + j * j) / self.radius**2))
+
+    @property
+    def table(self) -> np.ndarray:
+        """float32 [taps, taps] of `nearness`."""
+        return np.array([[self.nearness(j, i) for i in self.taps] for j in self.taps], np.float32)
+
+
+PLANE = Plane(radius=16, stride=2, gate=4 * UNITS, ridge=4.0, need=4.0)

@@ -1,0 +1,271 @@
+"""The many-view method: every stage of the cpu backend against NumPy, bit for bit, and what it must do."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from arrays import Scene, make_scene, noise_scene
+from seepast import Options, _core, multiview
+from seepast.backends import cpu_multiview as cpu
+from seepast.backends import reference_multiview as reference
+from seepast.candidates import DisparityGrid
+from seepast.frames import Frame
+from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
+from seepast.pipeline import Clock
+
+OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60})
+COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
+FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
+GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
+
+SCENES = {
+    "2 cameras": lambda: make_scene(2, (83, 31), colour=True),
+    "3, middle, residual": lambda: make_scene(3, (75, 33), reference=1, residual=True, masks="soft", colour=True),
+    "5, step": lambda: make_scene(5, (131, 24), surface="step", noise=2, colour=True),
+    "5, last, no-ray borders": lambda: make_scene(5, (81, 27), reference=4, residual=True, no_ray=4, masks="soft"),
+    "9, middle": lambda: make_scene(9, (73, 21), reference=4, surface="slanted"),
+    "16, residual": lambda: make_scene(16, (69, 18), reference=3, residual=True, masks="soft"),
+    "all dynamic": lambda: make_scene(3, (60, 20), masks="all"),
+    "no mask": lambda: make_scene(3, (70, 25), masks="none", residual=True),
+    "noise": lambda: noise_scene(4, (67, 23)),
+    "noise of 7": lambda: noise_scene(7, (65, 19), reference=2, seed=3),
+    "one row": lambda: noise_scene(3, (50, 1)),
+    "one column": lambda: noise_scene(3, (1, 20), residual=False),
+}
+every_scene = pytest.mark.parametrize("name", SCENES)
+STEEP = {"3, middle, residual": 30.0, "noise": 20.0}  # scenes whose cameras lie far apart in depth: many runs in a row
+
+
+class Case:
+    """A scene, and random stand-ins for what earlier stages would have found."""
+
+    def __init__(self, scene: Scene, steep: float = 1.0):
+        self.colour = multiview.three_channels(scene.colour)
+        self.static = scene.dynamic <= 127
+        geometry = scene.geometry
+        geometry.positions[:, 2] *= steep
+        self.views = [geometry.seen_from(k) for k in range(geometry.cameras)]
+        self.geometry = geometry
+        rng = np.random.default_rng(4)
+        flat = rng.integers(0, 60 * UNITS, (len(self.static), 1, 1))
+        rough = rng.integers(-2 * UNITS, 2 * UNITS, self.static.shape)
+        self.disparities = (flat + rough).clip(0).astype(np.uint16)
+        self.confidence = np.where(self.static, rng.choice([3, 14, CONFIDENT], self.static.shape), 0).astype(np.uint8)
+        self.noise = rng.integers(0, 256, (*self.static.shape[1:], 45), np.uint8)
+        self.choice = rng.random((2, *self.static.shape[1:])) < 0.5
+
+    @property
+    def some_views(self) -> list[int]:
+        return sorted({0, self.geometry.reference, self.geometry.cameras - 1})
+
+
+@cache
+def case(name: str) -> Case:
+    return Case(SCENES[name](), STEEP.get(name, 1.0))
+
+
+def assert_same(first, second) -> None:
+    first, second = ((r if isinstance(r, tuple) else (r,)) for r in (first, second))
+    for a, b in zip(first, second, strict=True):
+        assert a.shape == b.shape
+        assert a.dtype == b.dtype
+        assert np.array_equal(a, b), f"{(a != b).mean():.1%} differ, first at {np.argwhere(a != b)[0]}"
+
+
+@pytest.fixture(autouse=True)
+def threads():
+    _core.set_threads(3)
+    yield
+    _core.set_threads(0)
+
+
+# -------------------------------------------------------------------------------------------- backends agree
+
+
+@every_scene
+def test_describe(name):
+    c = case(name)
+    expected, found = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
+    width = c.static.shape[2]
+    inner = slice(_core.BLOCK, _core.BLOCK + width)
+    rows = np.moveaxis(found.planes, 2, 1)  # [K, planes, H, stride]
+    assert not np.delete(rows, np.r_[inner], axis=-1)[:, -2:].any()  # nothing is static beside the image
+    words = found.planes[:, :, :48].reshape(*found.planes.shape[:2], 6, -1).view(np.uint64)[..., inner]
+    words = np.moveaxis(words, 2, 1)  # [K, census at 4 phases and valid at 2, H, W]
+    assert_same(expected.census, words[:, :4])
+    assert_same(expected.valid[:, :2], words[:, 4:])
+    assert_same(np.moveaxis(expected.colour, -1, 2), rows[:, 48:60, :, inner].reshape(len(rows), 4, 3, -1, width))
+    assert_same(expected.static[:, :2], rows[:, 60:62, :, inner].astype(bool))
+
+
+@every_scene
+def test_volume(name):
+    c = case(name)
+    features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
+    for k in c.some_views:
+        for grid in GRIDS[1:]:
+            assert_same(
+                *(b.volume(f, c.views[k], grid, COSTS) for b, f in zip((reference, cpu), features, strict=True))
+            )
+
+
+@every_scene
+@pytest.mark.parametrize("grid", GRIDS[:1] + GRIDS[2:], ids=str)
+@pytest.mark.parametrize("penalties", [FIRST, FINAL], ids=["first", "final"])
+def test_aggregate(name, grid, penalties):
+    c = case(name)
+    costs = np.ascontiguousarray(c.noise[..., : grid.count])
+    assert_same(*(b.aggregate(costs, c.colour[0], c.static[0], grid, penalties) for b in (reference, cpu)))
+
+
+@every_scene
+@pytest.mark.parametrize("skip", [-1, 1])
+def test_witnesses_and_labels(name, skip):
+    c = case(name)
+    for k in c.some_views:
+        d = c.disparities[k]
+        assert_same(*(b.witnesses(d, c.disparities, c.static, c.views[k], skip, UNITS) for b in (reference, cpu)))
+        assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48) for b in (reference, cpu)))
+
+
+@every_scene
+@pytest.mark.parametrize("grid", GRIDS, ids=str)
+@pytest.mark.parametrize("weights", [WEIGHTS, VoteWeights(7680, 3, 6, 128)], ids=["preset", "largest"])
+def test_votes(name, grid, weights):
+    c = case(name)
+    costs = np.ascontiguousarray(c.noise[..., : grid.count])
+    for k, skip in ((0, 0), (c.geometry.reference, -1)):
+        found = [
+            b.votes(costs, c.disparities, c.confidence, c.static[k], c.views[k], grid, skip, weights)
+            for b in (reference, cpu)
+        ]
+        assert_same(*found)
+
+
+@every_scene
+def test_planes(name):
+    c = case(name)
+    smooth = (c.disparities[0] // 8 + 300).astype(np.uint16)
+    for d in (smooth, c.disparities[0]):
+        found = [b.planes(d, c.choice[0], c.choice[1], c.colour[0], c.static[0]) for b in (reference, cpu)]
+        assert_same(*found)
+
+
+@every_scene
+def test_blend(name):
+    c = case(name)
+    rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
+    clear = multiview.edge_weights(c.static, OPTIONS.multiview)
+    for k in c.some_views:
+        near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
+        assert_same(
+            *(b.blend(c.colour, rays, clear, near, c.views[k], c.disparities[k], c.choice[0]) for b in (reference, cpu))
+        )
+
+
+@pytest.mark.parametrize(
+    "name", ["2 cameras", "3, middle, residual", "5, last, no-ray borders", "noise", "all dynamic"]
+)
+@pytest.mark.parametrize("dynamic_only", [False, True])
+def test_whole_method(name, dynamic_only):
+    scene = SCENES[name]()
+    frame = Frame(scene.colour, scene.grey, scene.dynamic)
+    found = [multiview.see_past(frame, scene.geometry, OPTIONS, b, dynamic_only, Clock())[0] for b in (reference, cpu)]
+    assert found[0].keys() == found[1].keys()
+    assert_same(*(tuple(f.values()) for f in found))
+    own = frame.dynamic[scene.geometry.reference] <= 127
+    assert np.array_equal(found[0]["background"][own], scene.colour[scene.geometry.reference][own])
+    assert found[0]["background"].shape == scene.colour.shape[1:]
+    if dynamic_only:
+        assert not found[0]["disparity"][own].any()
+        assert (found[0]["coverage"][own] == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_threads_change_nothing(threads):
+    scene = make_scene(5, (120, 50), reference=2, residual=True, colour=True, masks="soft")
+    frame = Frame(scene.colour, scene.grey, scene.dynamic)
+    found = []
+    for count in (3, threads):
+        _core.set_threads(count)
+        found.append(tuple(multiview.see_past(frame, scene.geometry, OPTIONS, cpu, False, Clock())[0].values()))
+    assert_same(*found)
+
+
+# -------------------------------------------------------------------------------------------- the method itself
+
+
+def seen(scene: Scene, **changed) -> dict[str, np.ndarray]:
+    frame = Frame(scene.colour, scene.grey, scene.dynamic)
+    return multiview.see_past(frame, scene.geometry, OPTIONS.updated(changed), cpu, False, Clock())[0]
+
+
+@pytest.mark.parametrize("reference_camera", [0, 2, 4])
+@pytest.mark.parametrize("residual", [False, True])
+def test_finds_what_people_hide(reference_camera, residual):
+    scene = make_scene(5, (140, 64), reference=reference_camera, residual=residual, colour=True, noise=1)
+    found = seen(scene)
+    hidden = scene.person[reference_camera] & (scene.seen_by() > 0)
+    assert hidden.sum() > 200
+    wrong = np.abs(found["disparity"] - scene.disparity) > 1
+    assert wrong[hidden].mean() < 0.05
+    assert wrong.mean() < 0.05
+    error = np.abs(found["background"].astype(int) - scene.background)[hidden]
+    assert np.median(error) <= 8
+    assert (found["coverage"][hidden] > 0).mean() > 0.9
+
+
+def test_never_seen_pixels_are_flagged():
+    scene = make_scene(3, (120, 60), colour=True)
+    scene.dynamic[:, 20:40, 30:60] = 254
+    found = seen(scene)
+    blind = np.zeros(scene.disparity.shape, bool)
+    blind[24:36, 46:56] = True  # the wall at 12 px moves the masks by up to 12
+    assert (found["coverage"][blind] == 0).all()
+    assert np.array_equal(found["coverage"], multiview.ray_count(found["labels"]))
+
+
+def test_planes_straighten_slants():
+    """A slanted wall of whole-pixel steps with a doubtful strip: the strip comes back on the wall's plane."""
+    x = np.mgrid[:40, :60][1]
+    truth = UNITS * 20 + 8 * x
+    d = truth.copy()
+    strip = (x >= 25) & (x < 33)
+    d[strip] = truth[:, 25:26].repeat(60, 1)[strip] + 20
+    found = cpu.planes(d.astype(np.uint16), ~strip, strip, np.full((40, 60, 3), 90, np.uint8), np.ones((40, 60), bool))
+    assert np.abs(found.astype(int) - truth)[strip].max() < np.abs(d - truth)[strip].max() / 2
+    assert np.array_equal(found[~strip], d[~strip])
+
+
+def test_range_of_the_static_scene():
+    scene = make_scene(5, (140, 64), colour=True)  # the wall is at 12 px, the person at 44
+    static = scene.dynamic <= 127
+    grid = multiview.static_range(multiview.three_channels(scene.colour), static, scene.geometry, OPTIONS, cpu)
+    assert grid.values[0] <= 10
+    assert 14 <= grid.values[-1] <= 34
+    assert grid.count % multiview.LANES == 0
+
+
+def test_range_where_nothing_is_sure_is_the_whole_search():
+    scene = make_scene(3, (120, 60), masks="all", colour=True)
+    static = scene.dynamic <= 127
+    grid = multiview.static_range(multiview.three_channels(scene.colour), static, scene.geometry, OPTIONS, cpu)
+    assert grid.values[0] == 0
+    assert grid.values[-1] >= 60
+
+
+def test_camera_pairs():
+    assert camera_pairs(3, 1) == ([(1, 0), (1, 2)], [(0, 2)])
+    assert camera_pairs(2, 0) == ([(0, 1)], [])
+    own, others = camera_pairs(16, 5)
+    assert len(own) == 15
+    assert all(k - j <= 2 and 5 not in (j, k) for j, k in others)
+
+
+def test_cubic_weights_are_keys():
+    for t in (0.0, 0.25, 0.5, 0.75):
+        exact = reference.CUBIC[int(4 * t)] / 128
+        assert np.allclose(cubic_weights(np.float32(t)), exact, atol=1e-6)
