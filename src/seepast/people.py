@@ -252,7 +252,7 @@ def disc(radius: int) -> np.ndarray:
 
 def sure_terms(options: PeopleOptions) -> np.ndarray:
     """Nats for static, unsure, person. Outside is the surer: people end where their surface does."""
-    return np.array([-3 * options.sure, 0, options.sure], np.float32)
+    return np.array([-3 * options.sure, options.unsure, options.sure], np.float32)
 
 
 def local_label(moments: np.ndarray, options: PeopleOptions) -> np.ndarray:
