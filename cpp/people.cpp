@@ -75,6 +75,24 @@ inline void bgr(const uint8_t* pixel, int channels, int* c) {
 
 inline int colour_bin(const int* c) { return (c[0] >> 4) << 8 | (c[1] >> 4) << 4 | c[2] >> 4; }
 
+// The terms of a row of potentials, before they are added.
+struct PotentialRow {
+  explicit PotentialRow(size_t width) : sure(width), local(width), colour(width) {}
+  std::vector<float> sure, local, colour;
+};
+
+SEEPAST_CLONES
+void potential_row(const float* __restrict sure, const float* __restrict said, const float* __restrict local,
+                   const float* __restrict colour, float said_weight, float local_weight, int width,
+                   int16_t* __restrict u) {
+  for (int i = 0; i < width; ++i) {
+    const float label = std::min(std::max(local[i] - 0.5f, -0.5f), 0.5f) * local_weight;
+    const float sum = sure[i] + said[i] * said_weight + label + colour[i];
+    const float cut = std::min(std::max(sum, -kMaxPotential), kMaxPotential);
+    u[i] = static_cast<int16_t>(floor_int(cut * static_cast<float>(kNats) + 0.5f));
+  }
+}
+
 }  // namespace
 
 void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance,
@@ -272,19 +290,24 @@ void colour_moments(int cameras, int height, int width, int channels, const uint
 void log_odds(int cameras, int height, int width, const uint8_t* saw, const float* levels, int stride,
               float* out) {
   const Lattice grid(height, width, stride);
+  std::vector<float> table(256 * static_cast<size_t>(cameras));  // by camera and what it says; 0 for nothing
+  for (int j = 0; j < cameras; ++j)
+    for (int say = 0; say < kNoSay; ++say) table[256 * j + say] = levels[j * kLevels + (say >> 4)];
+  float inverse[kMaxCameras + 1] = {1.0f};
+  for (int n = 1; n <= kMaxCameras; ++n) inverse[n] = 1.0f / static_cast<float>(n);
 #pragma omp parallel for schedule(static)
   for (int line = 0; line < cameras * grid.height; ++line) {
     const int k = line / grid.height, y = grid.image(line % grid.height);
+    const uint8_t* says = saw + (static_cast<size_t>(k) * height + y) * width * cameras;
     for (int i = 0; i < grid.width; ++i) {
-      const uint8_t* says = saw + ((static_cast<size_t>(k) * height + y) * width + grid.image(i)) * cameras;
+      const uint8_t* of = says + static_cast<size_t>(grid.image(i)) * cameras;
       int n = 0;
       float total = 0;
       for (int j = 0; j < cameras; ++j) {
-        const bool speaks = says[j] != kNoSay;
-        total += speaks ? levels[j * kLevels + (says[j] >> 4)] : 0.0f;
-        n += speaks;
+        total += table[256 * j + of[j]];
+        n += of[j] != kNoSay;
       }
-      out[static_cast<size_t>(line) * grid.width + i] = total * (1.0f / static_cast<float>(n > 1 ? n : 1));
+      out[static_cast<size_t>(line) * grid.width + i] = total * inverse[n];
     }
   }
 }
@@ -293,24 +316,33 @@ void potential(int height, int width, int channels, const float* said, const uin
                const uint8_t* colour, const float* linear, const int8_t* sure, int sure_height,
                int sure_width, const Terms& terms, int stride, int cell, int16_t* u) {
   const Lattice grid(height, width, stride);
-#pragma omp parallel for schedule(static)
-  for (int j = 0; j < grid.height; ++j)
-    for (int i = 0; i < grid.width; ++i) {
-      const size_t out = static_cast<size_t>(j) * grid.width + i;
-      const size_t at = static_cast<size_t>(grid.image(j)) * width + grid.image(i);
-      int c[3];
-      bgr(colour + at * channels, channels, c);
-      const float *l = linear + 4 * at, b = static_cast<float>(c[0]), g = static_cast<float>(c[1]),
-                  r = static_cast<float>(c[2]);
-      float local = l[0] * b + l[1] * g + l[2] * r + l[3];
-      local = std::min(std::max(local - 0.5f, -0.5f), 0.5f) * terms.local;
-      const int label = sure[static_cast<size_t>(std::min(j / cell, sure_height - 1)) * sure_width +
-                             std::min(i / cell, sure_width - 1)];
-      float sum = terms.sure[label + 1] + said[out] * terms.said + local + terms.colours[colour_bin(c)];
-      sum = std::min(std::max(sum, -kMaxPotential), kMaxPotential);
-      const int fixed = floor_int(sum * static_cast<float>(kNats) + 0.5f);
-      u[out] = dynamic[at] == kNoRay ? int16_t{0} : static_cast<int16_t>(fixed);
+#pragma omp parallel
+  {
+    PotentialRow row(grid.width);
+#pragma omp for schedule(static)
+    for (int j = 0; j < grid.height; ++j) {
+      const size_t at = static_cast<size_t>(grid.image(j)) * width, out = static_cast<size_t>(j) * grid.width;
+      const int8_t* labels = sure + static_cast<size_t>(std::min(j / cell, sure_height - 1)) * sure_width;
+      for (int i = 0; i < grid.width; ++i) {
+        const size_t x = at + grid.image(i);
+        int c[3];
+        bgr(colour + x * channels, channels, c);
+        const float* l = linear + 4 * x;
+        row.local[i] = l[0] * static_cast<float>(c[0]) + l[1] * static_cast<float>(c[1]) +
+                       l[2] * static_cast<float>(c[2]) + l[3];
+        row.colour[i] = terms.colours[colour_bin(c)];
+      }
+      for (int i = 0; i < grid.width;) {
+        const int here = i / cell, end = here + 1 < sure_width ? std::min((here + 1) * cell, grid.width) : grid.width;
+        const float label = terms.sure[labels[std::min(here, sure_width - 1)] + 1];
+        for (; i < end; ++i) row.sure[i] = label;
+      }
+      potential_row(row.sure.data(), said + out, row.local.data(), row.colour.data(), terms.said, terms.local,
+                    grid.width, u + out);
+      for (int i = 0; i < grid.width; ++i)
+        if (dynamic[at + grid.image(i)] == kNoRay) u[out + i] = 0;
     }
+  }
 }
 
 }  // namespace seepast

@@ -17,7 +17,7 @@ from seepast.options import Options, PeopleOptions
 from seepast.rectify import NO_RAY
 
 OPTIONS = PeopleOptions(working_width=48)  # the small scenes are then looked at by lattices of stride 2 and 1
-SMALL = PeopleOptions(working_width=1000, inner=1, outer=2, window=21)
+SMALL = PeopleOptions(working_width=1000, inner=1, window=21, grow=False)
 
 
 def surfaces_of(scene: Scene) -> np.ndarray:

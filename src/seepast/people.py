@@ -35,7 +35,7 @@ NATS = 256  # steps per nat in the field
 MAX_COST = 11.5  # nats: eight of them and MAX_POTENTIAL stay within an int16
 MAX_POTENTIAL = 30.0  # nats
 MAX_RATIO = 3.0  # nats that one learnt ratio may say
-BLOCK = 4  # lattice pixels per block of colour moments
+BLOCK = 8  # lattice pixels per block of colour moments
 MOMENTS = 14  # 1, b, g, r, bb, bg, br, gg, gr, rr; and of people's pixels 1, b, g, r
 
 
@@ -100,7 +100,7 @@ def refine_people(
         said = backend.log_odds(saw, reliability(levels), step)
         sure = sure_labels(region, said if step == stride else lattice(said, stride), options)
         linear = local_label(backend.colour_moments(frame.colour, sure, stride, BLOCK), options)
-        terms = Terms(sure_terms(options), options.said, options.local, options.colour * colour_ratio(colours))
+        terms = Terms(sure_terms(options), options.said, options.local, options.colour * colour_ratio(colours, options))
         u = np.empty(said.shape, np.int16)
         for k in range(geometry.cameras):
             label = upsampled(linear[k], BLOCK * stride, frame.dynamic.shape[1:])
@@ -125,7 +125,7 @@ def disagreement(saw: np.ndarray) -> float:
 
     Exact masks differ only where a surface is wrong, by some per cent; 0 where nobody says anything.
     """
-    saw = saw[:, ::2, ::2]
+    saw = saw[:, ::4, ::4]  # a sample says enough
     low = high = 0
     for k in range(len(saw)):
         own = saw[k, ..., k]
@@ -147,7 +147,9 @@ def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarr
     mean, sums = backend.object_grid(saw, surfaces, geometry, cells, stride)
     share = backend.object_slice(blurred(sums, options.cell_blur), mean, surfaces, geometry, cells, stride)
     known = share != UNKNOWN
-    one = SHARE * max(weighted_percentile(share[known], mean[known], 0.8), options.least_share)
+    some = np.s_[:, ::2, ::2]  # a sample says enough
+    top = weighted_percentile(share[some][known[some]], mean[some][known[some]], 0.8)
+    one = SHARE * max(top, options.least_share)
     thresholds = np.round(one * np.arange(0.3, 0.905, 0.05)).astype(np.int32)
     counts = backend.border_counts(share, mean, surfaces, thresholds, options.depth_step, stride)
     best = border_threshold(counts, int(mean[known].sum(dtype=np.int64)))
@@ -225,14 +227,18 @@ def reliability(levels: np.ndarray) -> np.ndarray:
     return (rising / 2).clip(-MAX_RATIO, MAX_RATIO).astype(np.float32)
 
 
-def colour_ratio(colours: np.ndarray) -> np.ndarray:
-    """log p(colour | person) / p(colour | static): float32 [4096] from counts int64 [2, 4096] (static, person)."""
+def colour_ratio(colours: np.ndarray, options: PeopleOptions) -> np.ndarray:
+    """log p(colour | person) / p(colour | static): float32 [4096] from counts int64 [2, 4096] (static, person).
+
+    Every bin is doubted by some pixels of either label, in proportion to all: colours hardly ever seen say nothing.
+    """
     bins = colours.reshape(2, COLOURS, COLOURS, COLOURS).astype(np.float64)
     for axis in (1, 2, 3):  # Gaussian, sigma 0.7 bins
         padded = np.pad(bins, [(2, 2) if a == axis else (0, 0) for a in range(4)], "symmetric")
         weights = np.exp(-0.5 * (np.arange(-2, 3) / 0.7) ** 2)
         bins = sum(w / weights.sum() * np.take(padded, range(i, i + COLOURS), axis) for i, w in enumerate(weights))
-    p = bins.reshape(2, -1) / np.maximum(bins.sum((1, 2, 3))[:, None], 1) + 0.3 / COLOURS**3
+    share = np.maximum(bins.sum((1, 2, 3)), 1)[:, None] / max(bins.sum(), 1)
+    p = (bins.reshape(2, -1) + options.colour_doubt * share) / share
     return np.log(p[1] / p[0]).clip(-MAX_RATIO, MAX_RATIO).astype(np.float32)
 
 
@@ -278,8 +284,10 @@ def local_label(moments: np.ndarray, options: PeopleOptions) -> np.ndarray:
     det = xx * A + xy * B + xz * C
     rows = ((A, B, C), (B, E, F), (C, F, G))
     a = np.stack([sum(r * c[..., i] for i, r in enumerate(row)) / det for row in rows], -1)
-    b = label - (a * m).sum(-1)
-    weight = S[..., :1]
+    people, static = S[..., 10:], S[..., :4] - S[..., 10:]
+    middle = sum(of[..., 1:] / np.maximum(of[..., :1], 1) for of in (people, static)) / 2 / 255
+    b = 0.5 - (a * middle).sum(-1)
+    weight = S[..., :1] * ((people[..., :1] > 0) & (static[..., :1] > 0))
     total = boxed(np.concatenate([a / 255 * weight, b[..., None] * weight, weight], -1), options.window)
     linear = total[..., :4] / np.maximum(total[..., 4:], 1)
     return np.where(total[..., 4:] > 0, linear, (0, 0, 0, 0.5)).astype(np.float32)
@@ -319,8 +327,12 @@ def field_costs(channels: int, options: PeopleOptions) -> FieldCosts:
 def probability(belief: np.ndarray, dynamic: np.ndarray, options: PeopleOptions) -> np.ndarray:
     """P = 1 / (1 + exp(-b / scale)) of the largest belief b next to a pixel (true masks contain the mixed pixels of an
     outline), in 254ths: uint8 [K, H, W]."""
-    beliefs = np.arange(-32768, 32768) / NATS / options.belief_scale
-    table = np.round(254 / (1 + np.exp(-beliefs.clip(-50, 50)))).astype(np.uint8)
+    quarters = np.arange(-128, 128) + 0.5  # of a nat, the middle of each: P > 1/2 exactly where b > 0
+    table = np.round(254 / (1 + np.exp(-quarters / 4 / options.belief_scale))).astype(np.uint8)
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    grown = np.stack([cv2.dilate(view, cross) for view in belief])
-    return np.where(dynamic == NO_RAY, np.uint8(NO_RAY), table[grown.astype(np.int32) + 32768])
+    out = np.empty_like(dynamic)
+    for k, view in enumerate(belief):
+        quarter = np.clip((view - 1) >> 6, -128, 127).astype(np.int8).view(np.uint8) ^ 128
+        p = cv2.LUT(quarter, table)
+        out[k] = np.where(dynamic[k] == NO_RAY, np.uint8(NO_RAY), cv2.dilate(p, cross) if options.grow else p)
+    return out
