@@ -148,8 +148,8 @@ void object_grid(const Array* views, int reference, const uint8_t* saw, const fl
         pooled = n ? static_cast<uint16_t>((kPooled * total + n / 2) / n) : kUnknown;
         if (!n) continue;
         const GridPosition g = grid_position(views[k], reference, cells, x, y, surfaces[at]);
-        const size_t cell =
-            cell_index(cells, floor_int(g.at[0] + 0.5f), floor_int(g.at[1] + 0.5f), floor_int(g.at[2] + 0.5f));
+        const size_t cell = cell_index(cells, floor_int(g.at[0] + 0.5f), floor_int(g.at[1] + 0.5f),
+                                       floor_int(g.at[2] + 0.5f));
         own[cell] += pooled;
         own[size + cell] += 1;
       }
@@ -193,9 +193,10 @@ void border_counts(int cameras, int height, int width, const uint16_t* share, co
   const Lattice grid(height, width, stride);
   std::vector<uint8_t> rank(kShare + 1);  // how many thresholds lie below a share
   for (int s = 0; s <= kShare; ++s)
-    rank[s] = static_cast<uint8_t>(std::count_if(thresholds, thresholds + count, [&](int t) { return t < s; }));
-  // a pixel of rank r is inside for the first r thresholds; a pair is a border for those from the lower rank to
-  // the higher: as differences, summed up at the end
+    rank[s] =
+        static_cast<uint8_t>(std::count_if(thresholds, thresholds + count, [&](int t) { return t < s; }));
+  // a pixel of rank r is inside for the first r thresholds; a pair is a border for those from the lower rank
+  // to the higher: as differences, summed up at the end
   const size_t row = count + 1;
   std::vector<int64_t> total(4 * row, 0);
 #pragma omp parallel
@@ -333,7 +334,8 @@ void potential(int height, int width, int channels, const float* said, const uin
         row.colour[i] = terms.colours[colour_bin(c)];
       }
       for (int i = 0; i < grid.width;) {
-        const int here = i / cell, end = here + 1 < sure_width ? std::min((here + 1) * cell, grid.width) : grid.width;
+        const int here = i / cell,
+                  end = here + 1 < sure_width ? std::min((here + 1) * cell, grid.width) : grid.width;
         const float label = terms.sure[labels[std::min(here, sure_width - 1)] + 1];
         for (; i < end; ++i) row.sure[i] = label;
       }

@@ -15,9 +15,7 @@ struct Lattice {
   int stride, height, width;  // of the lattice
   Lattice(int image_height, int image_width, int stride)
       : stride(stride), height(count(image_height, stride)), width(count(image_width, stride)) {}
-  static int count(int n, int stride) {
-    return n > stride / 2 ? (n - stride / 2 + stride - 1) / stride : 0;
-  }
+  static int count(int n, int stride) { return n > stride / 2 ? (n - stride / 2 + stride - 1) / stride : 0; }
   size_t pixels() const { return static_cast<size_t>(height) * width; }
   int image(int i) const { return i * stride + stride / 2; }
 };
@@ -28,7 +26,8 @@ struct Cells {
 };
 
 // `views`: the array as seen from each of its K cameras.
-void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance, uint8_t* saw);
+void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance,
+               uint8_t* saw);
 void object_grid(const Array* views, int reference, const uint8_t* saw, const float* surfaces,
                  const Cells& cells, int stride, uint16_t* mean, int64_t* sums);
 void object_slice(const Array* views, int reference, const float* grid, const uint16_t* mean,

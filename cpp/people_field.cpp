@@ -1,5 +1,5 @@
-// The two-label scanline field of the mask refinement. On a chain of two labels the whole min-sum message is one
-// number, t = u + clip(t_before, -w, w), so eight directions are two sweeps over 16-bit rows.
+// The two-label scanline field of the mask refinement. On a chain of two labels the whole min-sum message is
+// one number, t = u + clip(t_before, -w, w), so eight directions are two sweeps over 16-bit rows.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -23,12 +23,13 @@ struct Row {
   std::vector<float> surface;
 };
 
-void load_row(const Lattice& grid, int width, int channels, int j, const uint8_t* colour, const float* surface,
-              Row& row) {
+void load_row(const Lattice& grid, int width, int channels, int j, const uint8_t* colour,
+              const float* surface, Row& row) {
   const size_t at = static_cast<size_t>(grid.image(j)) * width;
   for (int i = 0; i < grid.width; ++i) {
     const size_t x = at + grid.image(i);
-    for (int c = 0; c < channels; ++c) row.colour[static_cast<size_t>(c) * grid.width + i] = colour[x * channels + c];
+    for (int c = 0; c < channels; ++c)
+      row.colour[static_cast<size_t>(c) * grid.width + i] = colour[x * channels + c];
     row.surface[i] = surface[x];
   }
 }
@@ -60,8 +61,8 @@ void change_costs(const uint8_t* __restrict ca, const uint8_t* __restrict cb, in
 
 // Messages that arrive from a neighbouring row: t_new = u + clip(t_before, w), added to the belief.
 SEEPAST_CLONES
-void arrive_row(const int16_t* __restrict before, const int16_t* __restrict w, const int16_t* __restrict u, int count,
-                int16_t* __restrict t, int16_t* __restrict belief) {
+void arrive_row(const int16_t* __restrict before, const int16_t* __restrict w, const int16_t* __restrict u,
+                int count, int16_t* __restrict t, int16_t* __restrict belief) {
   for (int i = 0; i < count; ++i) {
     const int16_t m = clip(before[i], w[i]);
     belief[i] = static_cast<int16_t>(belief[i] + m);
@@ -98,10 +99,10 @@ struct Field {
         if (first) w[0] = 0;
         if (end < grid.width) w[grid.width - 1] = 0;
         if (end > first)
-          change_costs(here.colour.data() + first, other.colour.data() + first + kStepX[q], grid.width, channels,
-                       here.surface.data() + first, other.surface.data() + first + kStepX[q], end - first,
-                       costs.contrast, costs.count - 1, costs.depth_step, costs.cut, q == 1 || q == 3,
-                       scratch.data(), w + first);
+          change_costs(here.colour.data() + first, other.colour.data() + first + kStepX[q], grid.width,
+                       channels, here.surface.data() + first, other.surface.data() + first + kStepX[q],
+                       end - first, costs.contrast, costs.count - 1, costs.depth_step, costs.cut,
+                       q == 1 || q == 3, scratch.data(), w + first);
       }
     }
   }
@@ -141,7 +142,8 @@ struct Field {
         if (first) t[0] = u[row];
         if (end < n) t[n - 1] = u[row + n - 1];
         if (end > first)
-          arrive_row(before + first, w + first, u + row + first, end - first, t + first, belief + row + first);
+          arrive_row(before + first, w + first, u + row + first, end - first, t + first,
+                     belief + row + first);
       }
     }
   }
@@ -177,7 +179,8 @@ void field(int cameras, int height, int width, int channels, const int16_t* u, c
     Field own(grid, width, channels, costs);
 #pragma omp for schedule(dynamic, 1)
     for (int k = 0; k < cameras; ++k)
-      own.run(u + k * grid.pixels(), colour + k * pixels * channels, surfaces + k * pixels, belief + k * grid.pixels());
+      own.run(u + k * grid.pixels(), colour + k * pixels * channels, surfaces + k * pixels,
+              belief + k * grid.pixels());
   }
 }
 

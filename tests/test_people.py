@@ -50,7 +50,9 @@ def shifted(geometry: ArrayGeometry) -> ArrayGeometry:
 SCENES = {
     "2 cameras": lambda: make_scene(2, (83, 61), masks="soft", colour=True),
     "3, middle, residual": lambda: make_scene(3, (75, 53), reference=1, residual=True, masks="soft"),
-    "5, no-ray borders": lambda: make_scene(5, (97, 64), reference=4, residual=True, no_ray=4, masks="soft", colour=True),
+    "5, no-ray borders": lambda: make_scene(
+        5, (97, 64), reference=4, residual=True, no_ray=4, masks="soft", colour=True
+    ),
     "9, middle, grey": lambda: make_scene(9, (73, 41), reference=4, masks="soft"),
     "16": lambda: make_scene(16, (57, 29), reference=3, residual=True, masks="soft", colour=True),
     "all dynamic": lambda: make_scene(3, (60, 40), masks="all"),
@@ -128,7 +130,9 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     terms = people.Terms(np.float32([-3, 0, 1]), 0.5, 4.0, colours)
     linear = rng.normal(0, 0.003, (35, 61, 4)).astype(np.float32)
     u, again = both(
-        lambda b: b.potential(said[1], s.scene.dynamic[1], s.colour[1], linear, sure[1, ::2, ::2].copy(), terms, stride, 2)
+        lambda b: b.potential(
+            said[1], s.scene.dynamic[1], s.colour[1], linear, sure[1, ::2, ::2].copy(), terms, stride, 2
+        )
     )
     assert np.array_equal(u, again) and u.std() > people.NATS
     costs = people.field_costs(channels, PeopleOptions(contrast=60, depth_step=20))
@@ -200,3 +204,26 @@ def test_pixels_without_a_ray_say_nothing() -> None:
     elsewhere[1:, :, -30:-12] = 0  # what stands there must not matter, but to the field's costs next to it
     again = people.refine_people(Frame(elsewhere, scene.grey, dynamic), surfaces, scene.geometry, SMALL, cpu_people)
     assert (out[1:, :, -30:] == NO_RAY).all() and np.array_equal(out[1:, :, :150], again[1:, :, :150])
+
+
+def test_false_alarms_of_single_views_make_no_person() -> None:
+    scene = people_scene(person=False)
+    dynamic = np.zeros_like(scene.dynamic)
+    for k, view in enumerate(dynamic):
+        cv2.circle(view, (30 + 30 * k, 40 + 15 * (k % 3)), 8, 254, -1)
+    out = people.refine_people(frame_of(scene, dynamic), surfaces_of(scene), scene.geometry, SMALL, cpu_people)
+    assert not out.any()
+
+
+def test_a_person_that_one_view_missed_is_found_there() -> None:
+    scene = people_scene(reference=2)
+    dynamic = scene.dynamic.copy()
+    dynamic[3] = 0
+    out = people.refine_people(frame_of(scene, dynamic), surfaces_of(scene), scene.geometry, SMALL, cpu_people)
+    assert mean_iou(out[3:4], scene.person[3:4]) > 0.95
+
+
+def test_beliefs_above_zero_are_people() -> None:
+    belief = np.array([[[-300, -1, 0, 1, 40, 20000]]], np.int16)
+    p = people.probability(belief, np.zeros((1, 1, 6), np.uint8), PeopleOptions(grow=False))[0, 0]
+    assert (p[:3] < 127).all() and (p[3:] > 127).all() and (np.diff(p.astype(int)) >= 0).all()

@@ -135,8 +135,8 @@ class PeopleOptions(StageOptions):
     sure: float = option(2.0, "nats", 0, 10, "log-odds of sure pixels; three times that outside")
     unsure: float = option(0.0, "nats", -10, 10, "log-odds of pixels in between")
     said: float = option(0.4, "", 0, 10, "weight of what the cameras' P says")
-    local: float = option(5.0, "nats", 0, 10, "per unit of the label as a local linear function of colour")
-    colour: float = option(1.5, "", 0, 3, "weight of the colours' log ratio")
+    local: float = option(10.0, "nats", 0, 20, "per unit of the label as a local linear function of colour")
+    colour: float = option(1.2, "", 0, 3, "weight of the colours' log ratio")
     colour_doubt: float = option(8.0, "px", 0.01, 1e5, "as many more pixels of undecided label in every bin of colour")
     window: int = option(65, "lattice px", 5, 501, "side of the window of the local linear label")
     ridge: float = option(0.001, "", 1e-6, 1, "its regularisation, colours in 0..1")
@@ -146,7 +146,7 @@ class PeopleOptions(StageOptions):
     depth_step: float = option(2.0, "px", 0, 64, "step of the surface that ends a person")
     depth_cut: float = option(0.3, "", 0, 1, "what is left of the cost there")
     grow: bool = option(True, "", None, None, "people include the mixed pixels of their outline")
-    belief_scale: float = option(4.0, "", 0.1, 100, "beliefs of the field are that much too sure")
+    belief_scale: float = option(3.0, "", 0.1, 100, "beliefs of the field are that much too sure")
 
 
 @dataclass(frozen=True)

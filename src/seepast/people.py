@@ -159,7 +159,7 @@ def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarr
 
 
 def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleOptions) -> Cells:
-    """Cells of a share of the view: people are that big. x reaches one view to either side, where other cameras look."""
+    """Cells of a share of the view: people are that big. x reaches one view to either side, where others look."""
     width, height = geometry.size
     size = (options.cell_disparity * width, options.cell_height * height, options.cell_width * width)
     low = (0.0, 0.0, -1.0 * width)
@@ -169,7 +169,7 @@ def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleO
 
 
 def blurred(sums: np.ndarray, sigma: float) -> np.ndarray:
-    """Sums of pooled P and counts int64 [2, *cells] -> float32, P in 0..1, softened so that cells lend to neighbours."""
+    """Sums of pooled P and counts int64 [2, *cells] -> float32, P in 0..1, softened: cells lend to their neighbours."""
     grid = sums.astype(np.float64)
     grid[0] /= POOLED * 254
     reach = math.ceil(4 * sigma)
@@ -262,11 +262,13 @@ def sure_terms(options: PeopleOptions) -> np.ndarray:
 
 
 def local_label(moments: np.ndarray, options: PeopleOptions) -> np.ndarray:
-    """The label as a linear function of colour, fitted to the sure pixels around (He et al. 2013, eq. 5, with weights).
+    """The label as a linear function of colour, fitted to the sure pixels around: guided filtering with weights.
 
-    moments int32 [K, r, c, MOMENTS] per block; a = (Cov(I) + ridge)^-1 cov(I, label), b = mean(label) - a . mean(I) over
-    the window, then averaged over the windows that a block lies in. float32 [K, r, c, 4]: label = (b, g, r, 1) . it,
-    colours in 0..255; 1/2 where nothing is sure.
+    a = (Cov(I) + ridge)^-1 cov(I, label) over the window (He, Sun, Tang 2013, eq. 14); b such that the label is 1/2
+    midway between the mean colours of both labels (Fisher), so that colours which tell nothing favour neither. Both
+    averaged over the windows that a block lies in; 1/2 where only one label is sure.
+
+    moments int32 [K, r, c, MOMENTS] per block. Returns float32 [K, r, c, 4]: label = (b, g, r, 1) . it, colours 0..255.
     """
     S = boxed(moments.astype(np.float64), options.window)
     n = np.maximum(S[..., 0], 1)

@@ -14,7 +14,19 @@ import numpy as np
 
 from ..geometry import ArrayGeometry
 from ..people import (
-    COLOURS, LEVELS, MAX_POTENTIAL, MOMENTS, NATS, NO_SAY, POOLED, SHARE, UNKNOWN, Cells, FieldCosts, Terms, lattice,
+    COLOURS,
+    LEVELS,
+    MAX_POTENTIAL,
+    MOMENTS,
+    NATS,
+    NO_SAY,
+    POOLED,
+    SHARE,
+    UNKNOWN,
+    Cells,
+    FieldCosts,
+    Terms,
+    lattice,
 )
 from ..rectify import NO_RAY
 from .reference import ray_offsets, rounded_ray
@@ -35,8 +47,8 @@ def seen_disparity(view: ArrayGeometry, camera: int, d: np.ndarray) -> np.ndarra
 def witnesses(dynamic: np.ndarray, surfaces: np.ndarray, geometry: ArrayGeometry, tolerance: float) -> np.ndarray:
     """What every camera says about the surface that every pixel shows: uint8 [K, H, W, K], saw[k, y, x, j].
 
-    Camera j sees the surface at x of camera k if |D_j(x_j) - d_j| <= tolerance, x_j where that surface lies in j and d_j its
-    disparity there; it then says its own P(dynamic) at x_j. NO_SAY elsewhere, and wherever a view has no ray.
+    Camera j sees the surface at x of camera k if |D_j(x_j) - d_j| <= tolerance, x_j where that surface lies in j and
+    d_j its disparity there; it then says its own P(dynamic) at x_j. NO_SAY elsewhere, and wherever a view has no ray.
     """
     K, height, width = dynamic.shape
     y, x = np.mgrid[:height, :width].astype(np.int32)
@@ -142,7 +154,7 @@ def colour_bin(colour: np.ndarray) -> np.ndarray:
 
 
 def histograms(dynamic, colour, person, stride) -> tuple[np.ndarray, np.ndarray]:
-    """Of lattice pixels by label `person` uint8 [K, h, w]: int64 [K, 2, LEVELS] levels of P, int64 [2, 4096] colours."""
+    """Of lattice pixels by label `person` uint8 [K, h, w]: levels of P int64 [K, 2, LEVELS], colours int64 [2, 4096]."""
     dynamic, colour = lattice(dynamic, stride), colour_bin(lattice(colour, stride))
     levels, colours = np.zeros((len(dynamic), 2, LEVELS), np.int64), np.zeros((2, COLOURS**3), np.int64)
     for k in range(len(dynamic)):
