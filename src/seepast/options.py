@@ -125,7 +125,7 @@ class PeopleOptions(StageOptions):
     trusted: float = option(0.05, "", 0, 1, "masks that disagree less between views are taken as they are")
     cell_width: float = option(0.09, "x width", 0.01, 1, "size of an object's cell across")
     cell_height: float = option(0.5, "x height", 0.01, 1, "and down")
-    cell_disparity: float = option(0.0186, "x width", 0.001, 1, "and in disparity")
+    cell_disparity: float = option(0.05, "x nearest", 0.005, 1, "and in disparity")
     cell_blur: float = option(0.8, "cells", 0, 4, "Gaussian by which cells lend to their neighbours")
     least_share: float = option(0.35, "", 0.01, 1, "objects are compared with at least that share of P")
     least_area: float = option(0.003, "x area", 0, 1, "people that fill less of the views are not there")

@@ -159,11 +159,15 @@ def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarr
 
 
 def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleOptions) -> Cells:
-    """Cells of a share of the view: people are that big. x reaches one view to either side, where others look."""
+    """Cells of a share of the view: people are that big. x reaches one view to either side, where others look.
+
+    In disparity a share of the nearest surface's (99th percentile): as thick in depth whatever the array.
+    """
     width, height = geometry.size
-    size = (options.cell_disparity * width, options.cell_height * height, options.cell_width * width)
+    nearest = max(float(np.percentile(surfaces[:, ::8, ::8], 99)), 1.0)
+    size = (options.cell_disparity * nearest, options.cell_height * height, options.cell_width * width)
     low = (0.0, 0.0, -1.0 * width)
-    reach = (float(surfaces.max()), height, 3 * width)
+    reach = (min(float(surfaces.max()), 2 * nearest), height, 3 * width)
     count = tuple(int(r / s) + 3 for r, s in zip(reach, size, strict=True))
     return Cells(low, size, count)  # type: ignore[arg-type]
 

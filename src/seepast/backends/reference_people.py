@@ -154,7 +154,7 @@ def colour_bin(colour: np.ndarray) -> np.ndarray:
 
 
 def histograms(dynamic, colour, person, stride) -> tuple[np.ndarray, np.ndarray]:
-    """Of lattice pixels by label `person` uint8 [K, h, w]: levels of P int64 [K, 2, LEVELS], colours int64 [2, 4096]."""
+    """Of lattice pixels by label person uint8 [K, h, w]: levels of P int64 [K, 2, LEVELS], colours int64 [2, 4096]."""
     dynamic, colour = lattice(dynamic, stride), colour_bin(lattice(colour, stride))
     levels, colours = np.zeros((len(dynamic), 2, LEVELS), np.int64), np.zeros((2, COLOURS**3), np.int64)
     for k in range(len(dynamic)):
