@@ -1,6 +1,7 @@
 # make demo    see past the people of a small sample; prints the path of the picture
 # make test    the tests
-# make bench   the speed of every stage on this machine
+# make bench-speed    the speed of every stage on this machine (make bench is the same)
+# make bench-quality DATA=folder    the quality on recordings with truth, beside baselines
 # make lint    style and types
 #
 # Each sets up what it needs in .venv: it asks for Python >= 3.10 and a C++ compiler, nothing else.
@@ -13,7 +14,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && { echo $$p; break; }; done)
 PIP    := $(PY) -m pip --quiet --disable-pip-version-check install
 
-.PHONY: demo test bench lint
+.PHONY: demo test bench bench-speed bench-quality lint
 .DELETE_ON_ERROR:
 
 demo: $(CORE)
@@ -22,8 +23,17 @@ demo: $(CORE)
 test: $(VENV)/.test-installed
 	@$(PY) -m pytest
 
-bench: $(VENV)/.test-installed
-	@$(PY) benchmarks/speed.py
+# PRESETS=paper,... MASKS=masks_exact,... choose; WRITE=benchmarks/RESULTS.md keeps the tables; QUICK=1 for a first look
+BENCH := $(if $(PRESETS),--presets "$(PRESETS)") $(if $(WRITE),--write "$(WRITE)")
+
+bench: bench-speed
+
+bench-speed: $(VENV)/.test-installed
+	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick)
+
+bench-quality: $(VENV)/.test-installed
+	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
+	@$(PY) benchmarks/quality.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(SECTION),--section "$(SECTION)")
 
 lint: $(VENV)/.dev-installed
 	$(VENV)/bin/ruff check src tests benchmarks

@@ -59,14 +59,15 @@ NB_MODULE(_core, m) {
   m.def(
       "support_of_camera",
       [](In<float, 2> offsets, In<float, 2> back_offsets, float cx, float cy, float back_cx, float back_cy,
-         int base, int partner, In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, const Grid& grid,
-         const SupportParams& params, Out<float, 2> points) {
+         int base, int partner, In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, In<uint8_t, 2> blind,
+         int reference, const Grid& grid, const SupportParams& params, Out<float, 2> points) {
         static_assert(sizeof(SupportPoint) == 4 * sizeof(float));
         const size_t height = is_static.shape(1), width = is_static.shape(2);
         const Array view = array_of(offsets, cx, cy, height, width);
         const Array back_view = array_of(back_offsets, back_cx, back_cy, height, width);
-        return support_of_camera(view, back_view, base, partner, descriptors.data(), is_static.data(), grid,
-                                 params, reinterpret_cast<SupportPoint*>(points.data()));
+        return support_of_camera(view, back_view, base, partner, descriptors.data(), is_static.data(),
+                                 base == reference ? nullptr : blind.data(), reference, grid, params,
+                                 reinterpret_cast<SupportPoint*>(points.data()));
       },
       free_lock);
 
@@ -104,6 +105,15 @@ NB_MODULE(_core, m) {
         const DisparityParams params{beta,         lone_variance, unseen_variance,
                                      prior_radius, table.data(),  static_cast<int>(table.shape(0))};
         disparity(array, phases.data(), mean.data(), cells.data(), grid, wanted.data(), params, d.data());
+      },
+      free_lock);
+
+  m.def(
+      "affected",
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 3> changed, In<int32_t, 2> mean,
+         In<uint8_t, 3> cells, const Grid& grid, In<uint8_t, 2> wanted, int radius, Out<uint8_t, 2> out) {
+        const Array array = array_of(offsets, cx, cy, mean.shape(0), mean.shape(1));
+        affected(array, changed.data(), mean.data(), cells.data(), grid, wanted.data(), radius, out.data());
       },
       free_lock);
 

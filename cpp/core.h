@@ -45,10 +45,12 @@ struct SupportPoint {
   float x, y, d, variance;
 };
 // Matches of the grid points of camera `base` in `partner`; `view` is the array as seen from base,
-// `back_view` as seen from partner. Writes at most one point per grid position, returns how many.
+// `back_view` as seen from partner. Where `blind` is given (the pixels that `reference` does not see,
+// widened), points that land elsewhere in the reference may be left out. Writes at most one point per grid
+// position, returns how many.
 int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
-                      const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
-                      const SupportParams& params, SupportPoint* points);
+                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* blind,
+                      int reference, const Grid& grid, const SupportParams& params, SupportPoint* points);
 
 // Rasterises the triangles' planes: mean int32 [H, W] in eighths of a pixel, `gap` outside all of them.
 // Triangles whose corners differ by more than max_step px take the nearest corner instead.
@@ -68,6 +70,9 @@ struct DisparityParams {
 void phase_planes(const Array& array, const int8_t* gradients, const uint8_t* is_static, int8_t* phases);
 void disparity(const Array& array, const int8_t* phases, const int32_t* mean, const uint8_t* cells,
                const Grid& grid, const uint8_t* wanted, const DisparityParams& params, float* out);
+// Pixels with a candidate whose rays end on or beside a changed label: the others' argmin stays what it was.
+void affected(const Array& array, const uint8_t* changed, const int32_t* mean, const uint8_t* cells,
+              const Grid& grid, const uint8_t* wanted, int radius, uint8_t* out);
 
 struct SegmentationParams {
   double beta;               // 1024ths of a nat per grey level^2

@@ -93,6 +93,25 @@ void compete_row(const float* __restrict variance, int count, int candidate, con
   }
 }
 
+// Calls run(a, b, quarter) for the pieces of columns [from, to) whose rays keep one quarter-pixel offset.
+// Where the array is straight there is one piece.
+template <class Run>
+void constant_runs(const Array& array, const RayShift& shift, int from, int to, const Run& run) {
+  for (int x = from; x < to;) {
+    const int quarter = quarter_offset(ray_dx(shift, x, array.cx));
+    int end = to;  // the offset is monotonic in x: search for the last column that has it
+    if (quarter_offset(ray_dx(shift, to - 1, array.cx)) != quarter) {
+      int same = x;
+      while (end - same > 1) {
+        const int middle = same + (end - same) / 2;
+        (quarter_offset(ray_dx(shift, middle, array.cx)) == quarter ? same : end) = middle;
+      }
+    }
+    run(x, end, quarter);
+    x = end;
+  }
+}
+
 // Everything one thread needs while it sweeps a band.
 struct Sweep {
   Sweep(const Array& array, const int8_t* phases)
@@ -121,36 +140,25 @@ struct Sweep {
       const RayShift shift = array.shift(k, d);
       const int row = y + whole_offset(ray_dy(shift, y, array.cy));
       if (row < 0 || row >= array.height) continue;
-      for (int x = from; x < to;) x = add_run(k, shift, row, x, from, to);
+      constant_runs(array, shift, from, to,
+                    [&](int a, int b, int quarter) { add_run(k, row, from, a, b, quarter); });
     }
     pack_row(n.data(), n.data() + stride, n.data() + 2 * stride, squares.data(), squares.data() + stride,
              count, du, dv, seen_of_row);
   }
 
-  // Adds camera k's rays from column x on, as far as they keep one quarter-pixel shift; returns where that
-  // ends.
-  int add_run(int k, const RayShift& shift, int row, int x, int from, int to) {
-    const int quarter = quarter_offset(ray_dx(shift, x, array.cx));
-    // the shift is monotonic in x: search for the last column that has it
-    int end = to;
-    if (quarter_offset(ray_dx(shift, to - 1, array.cx)) != quarter) {
-      int same = x;
-      while (end - same > 1) {
-        const int middle = same + (end - same) / 2;
-        (quarter_offset(ray_dx(shift, middle, array.cx)) == quarter ? same : end) = middle;
-      }
-    }
+  // Adds camera k's rays of columns [a, b), which all lie `quarter` quarter pixels off.
+  void add_run(int k, int row, int from, int a, int b, int quarter) {
     const int whole = quarter >> 2, phase = quarter & 3;
-    const int a = std::max(x, -whole), b = std::min(end, array.width - whole);
-    if (a < b) {
-      const size_t pixels = array.pixels();
-      const int8_t* plane = phases + static_cast<size_t>(k * 4 + phase) * 3 * pixels +
-                            static_cast<size_t>(row) * array.width + (a + whole);
-      const int at = a - from;
-      add_rays(plane, plane + pixels, plane + 2 * pixels, b - a, n.data() + at, n.data() + stride + at,
-               n.data() + 2 * stride + at, squares.data() + at, squares.data() + stride + at);
-    }
-    return end;
+    a = std::max(a, -whole);
+    b = std::min(b, array.width - whole);
+    if (a >= b) return;
+    const size_t pixels = array.pixels();
+    const int8_t* plane = phases + static_cast<size_t>(k * 4 + phase) * 3 * pixels +
+                          static_cast<size_t>(row) * array.width + (a + whole);
+    const int at = a - from;
+    add_rays(plane, plane + pixels, plane + 2 * pixels, b - a, n.data() + at, n.data() + stride + at,
+             n.data() + 2 * stride + at, squares.data() + at, squares.data() + stride + at);
   }
 
   const Array& array;
@@ -241,7 +249,77 @@ void sweep_run(Sweep& sweep, const Band& band, int i, int from, int to, const Gr
   }
 }
 
+// Changed labels as matching meets them: at a pixel or the one right of it. Rows carry one column before the
+// first.
+struct ChangedRows {
+  ChangedRows(const Array& array, const uint8_t* changed)
+      : stride(array.width + 1),
+        line(static_cast<size_t>(array.cameras) * array.height * stride),
+        any(static_cast<size_t>(array.cameras) * array.height) {
+    for (size_t row = 0; row < any.size(); ++row) {
+      const uint8_t* from = changed + row * array.width;
+      uint8_t* to = line.data() + row * stride;
+      for (int x = 0; x < array.width; ++x) to[x] |= from[x], to[x + 1] |= from[x];
+      any[row] = std::any_of(from, from + array.width, [](uint8_t c) { return c != 0; });
+    }
+  }
+  int stride;
+  std::vector<uint8_t> line, any;
+};
+
+void or_row(const uint8_t* __restrict from, int count, uint8_t* __restrict to) {
+  for (int x = 0; x < count; ++x) to[x] |= from[x];
+}
+
+// hit: whether a ray of the pixels of reference row y meets a change at disparity d. False if none does.
+bool meets_change(const Array& array, const ChangedRows& changed, int y, int from, int to, float d,
+                  uint8_t* hit) {
+  bool any = false;
+  for (int k = 0; k < array.cameras; ++k) {
+    const RayShift shift = array.shift(k, d);
+    const int row = y + whole_offset(ray_dy(shift, y, array.cy));
+    if (row < 0 || row >= array.height) continue;
+    const size_t at = static_cast<size_t>(k) * array.height + row;
+    if (!changed.any[at]) continue;
+    if (!any) std::fill_n(hit, to - from, uint8_t{0});
+    any = true;
+    const uint8_t* line = changed.line.data() + at * changed.stride + 1;
+    constant_runs(array, shift, from, to, [&](int a, int b, int quarter) {
+      const int whole = quarter >> 2;
+      a = std::max(a, -1 - whole);
+      b = std::min(b, array.width - whole);
+      if (a < b) or_row(line + a + whole, b - a, hit + a - from);
+    });
+  }
+  return any;
+}
+
 }  // namespace
+
+void affected(const Array& array, const uint8_t* changed_labels, const int32_t* mean, const uint8_t* cells,
+              const Grid& grid, const uint8_t* wanted, int radius, uint8_t* out) {
+  const ChangedRows changed(array, changed_labels);
+  std::fill_n(out, array.pixels(), uint8_t{0});
+  const int bands = (array.height + kCellRows - 1) / kCellRows;
+#pragma omp parallel for schedule(dynamic, 1)
+  for (int b = 0; b < bands; ++b) {
+    const Band band(array, mean, cells, grid, wanted, radius, b * kCellRows);
+    std::vector<int32_t> reach(array.width);
+    std::vector<uint8_t> hit(array.width);
+    for (int i = 0; i < grid.count; ++i)
+      for (int c = 0, end = 0; band.next_run(i, c, end); c = end) {
+        const int from = c * kCellColumns, to = std::min(array.width, end * kCellColumns);
+        for (int y = band.y0; y < band.y1; ++y) {
+          if (!meets_change(array, changed, y, from, to, grid.value(i), hit.data())) continue;
+          const size_t row = static_cast<size_t>(y) * array.width + from;
+          band.reach_row(i, from, to, wanted + row, reach.data());
+          const int candidate = grid.first + i * grid.step;
+          for (int x = 0; x < to - from; ++x)
+            out[row + x] |= hit[x] & static_cast<uint8_t>(std::abs(candidate - mean[row + x]) <= reach[x]);
+        }
+      }
+  }
+}
 
 void phase_planes(const Array& array, const int8_t* gradients, const uint8_t* is_static, int8_t* phases) {
   const size_t pixels = array.pixels();

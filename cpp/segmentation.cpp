@@ -4,8 +4,10 @@
 // Not all sets need looking at. The set S_0 of every ray's cheaper label has the least prior cost there is,
 // so a set can only win by saving variance: rays whose other label costs more than beta Var_{S_0} on top can
 // never flip. Mostly none is left, and the result is still the exact minimum.
+#include <algorithm>
 #include <bit>
 #include <cmath>
+#include <vector>
 
 #include "rays.h"
 
@@ -14,28 +16,47 @@ namespace {
 
 // The rays of one reference pixel at its disparity.
 struct Rays {
-  int16_t f[kMaxCameras][kSamples];
+  Descriptor f[kMaxCameras];
   int distance[kMaxCameras][kMaxCameras];
   int cost[2][kMaxCameras];  // of calling the ray dynamic, static
   uint8_t p[kMaxCameras];
   uint32_t exist;
 };
 
+// Where the rays of a reference row are sampled in one camera: quarter positions, row -1 where there is no
+// ray.
+SEEPAST_CLONES
+void positions_row(const Array& array, int k, int y, const float* __restrict d, int32_t* __restrict xq,
+                   int32_t* __restrict row) {
+  const int width = array.width, height = array.height;
+  const float cx = array.cx, cy = array.cy;
+  const float* offset = array.offsets + kOffsets * k;
+  const float o[kOffsets] = {offset[0], offset[1], offset[2], offset[3], offset[4]};
+  for (int x = 0; x < width; ++x) {
+    const RayShift shift = ray_shift(o, d[x]);
+    const int at = 4 * x + quarter_offset(ray_dx(shift, x, cx)),
+              line = y + whole_offset(ray_dy(shift, y, cy));
+    const bool in = (at >= 0) & ((at >> 2) + ((at & 3) > 0) < width) & (line >= 0) & (line < height);
+    xq[x] = at;
+    row[x] = in ? line : -1;
+  }
+}
+
 SEEPAST_CLONES
 void gather(const Array& array, const uint8_t* descriptors, const uint8_t* dynamic, const int32_t* costs,
-            int x, int y, float d, Rays& rays) {
+            int x, const int32_t* xq, const int32_t* row, Rays& rays) {
   const size_t pixels = array.pixels();
   rays.exist = 0;
   for (int k = 0; k < array.cameras; ++k) {
-    const QuarterPosition q = quarter_position(array, k, x, y, d);
-    if (!inside(q.xq, q.row, array.width, array.height)) continue;
-    const uint8_t* prior = dynamic + k * pixels + static_cast<size_t>(q.row) * array.width + (q.xq >> 2);
-    const uint8_t p = (q.xq & 3) && prior[1] > prior[0] ? prior[1] : prior[0];
+    const int at = xq[k * array.width + x], line = row[k * array.width + x];
+    if (line < 0) continue;
+    const uint8_t* prior = dynamic + k * pixels + static_cast<size_t>(line) * array.width + (at >> 2);
+    const uint8_t p = (at & 3) && prior[1] > prior[0] ? prior[1] : prior[0];
     if (p == kNoRay) continue;
     rays.p[k] = p;
     rays.cost[0][k] = costs[p];
     rays.cost[1][k] = costs[255 + p];
-    ray_descriptor(descriptors + k * pixels * kSamples, array.width, q.xq, q.row, rays.f[k]);
+    rays.f[k] = ray_descriptor(descriptors + k * pixels * kSamples, array.width, at, line);
     for (int j = 0; j < k; ++j)
       if (rays.exist >> j & 1)
         rays.distance[k][j] = rays.distance[j][k] = squared_distance(rays.f[k], rays.f[j]);
@@ -114,7 +135,8 @@ uint32_t label_set(const Rays& rays, const SegmentationParams& params) {
     if (rays.cost[1][k] < rays.cost[0][k]) start |= 1u << k;
   }
   const double slack = data_energy(params, spread_of(rays, start), std::popcount(start));
-  return best_set(rays, params, start, flippable(rays, slack));
+  const uint32_t flips = flippable(rays, slack);
+  return flips ? best_set(rays, params, start, flips) : start;
 }
 
 uint8_t posterior_of(const Rays& rays, const SegmentationParams& params, uint32_t set, int k) {
@@ -134,12 +156,18 @@ void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t*
 #pragma omp parallel for schedule(dynamic, 8)
   for (int y = 0; y < array.height; ++y) {
     Rays rays;
+    std::vector<int32_t> xq(static_cast<size_t>(array.cameras) * array.width), line(xq.size());
+    const size_t row = static_cast<size_t>(y) * array.width;
+    for (int k = 0; k < array.cameras; ++k)
+      std::fill_n(posterior + k * pixels + row, array.width, kUnchanged);
+    std::fill_n(labels + row, array.width, uint16_t{0});
+    if (std::none_of(wanted + row, wanted + row + array.width, [](uint8_t w) { return w != 0; })) continue;
+    for (int k = 0; k < array.cameras; ++k)
+      positions_row(array, k, y, d + row, xq.data() + k * array.width, line.data() + k * array.width);
     for (int x = 0; x < array.width; ++x) {
-      const size_t at = static_cast<size_t>(y) * array.width + x;
-      for (int k = 0; k < array.cameras; ++k) posterior[k * pixels + at] = kUnchanged;
-      labels[at] = 0;
+      const size_t at = row + x;
       if (!wanted[at]) continue;
-      gather(array, descriptors, dynamic, params.costs, x, y, d[at], rays);
+      gather(array, descriptors, dynamic, params.costs, x, xq.data(), line.data(), rays);
       const uint32_t set = label_set(rays, params);
       labels[at] = static_cast<uint16_t>(set);
       for (uint32_t rest = rays.exist; rest; rest &= rest - 1) {

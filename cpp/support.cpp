@@ -12,6 +12,8 @@ namespace {
 
 constexpr int kMargin = 5;  // reference.py SUPPORT_MARGIN
 constexpr int kNoMatch = 1 << 20;
+constexpr float kRefineReach =
+    0.75f;  // px in the partner: a whole-pixel match is off by half of one, or a little more
 
 bool within_margin(int x, int y, int width, int height) {
   return x >= kMargin && x < width - kMargin && y >= kMargin && y < height - kMargin;
@@ -19,12 +21,13 @@ bool within_margin(int x, int y, int width, int height) {
 
 // Sum of absolute differences of the descriptors of the four pixels two up, down, left and right, diagonally.
 inline int block_cost(const uint8_t* a, const uint8_t* b, ptrdiff_t two_rows) {
-  int sum = 0;
+  Words sums = {};
   for (int corner = 0; corner < 4; ++corner) {
     const ptrdiff_t at = (corner < 2 ? -two_rows : two_rows) + (corner & 1 ? 2 * kSamples : -2 * kSamples);
-    for (int m = 0; m < kSamples; ++m)
-      sum += std::abs(static_cast<int>(a[at + m]) - static_cast<int>(b[at + m]));
+    sums += absolute_difference(load(a + at), load(b + at));
   }
+  int sum = 0;
+  for (int m = 0; m < kSamples; ++m) sum += sums[m];
   return sum;
 }
 
@@ -107,7 +110,7 @@ struct Matcher {
 SEEPAST_CLONES
 float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t* is_static, int x, int y,
                    float d) {
-  int16_t f[kMaxCameras][kSamples];
+  Descriptor f[kMaxCameras];
   const size_t pixels = array.pixels();
   int n = 0, spread = 0;
   for (int k = 0; k < array.cameras; ++k) {
@@ -115,7 +118,7 @@ float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t
     if (!inside(q.xq, q.row, array.width, array.height)) continue;
     const uint8_t* label = is_static + k * pixels + static_cast<size_t>(q.row) * array.width + (q.xq >> 2);
     if (!label[0] || ((q.xq & 3) && !label[1])) continue;
-    ray_descriptor(descriptors + k * pixels * kSamples, array.width, q.xq, q.row, f[n]);
+    f[n] = ray_descriptor(descriptors + k * pixels * kSamples, array.width, q.xq, q.row);
     for (int j = 0; j < n; ++j) spread += squared_distance(f[n], f[j]);
     ++n;
   }
@@ -124,10 +127,10 @@ float ray_variance(const Array& array, const uint8_t* descriptors, const uint8_t
   return static_cast<float>(spread) * (inverse * inverse);
 }
 
-// The candidate of the grid within one neighbour step of d that has the least variance.
+// The candidate of the grid near d that has the least variance.
 SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_t* is_static,
                     const Grid& grid, float parallax, Point p, float d) {
-  const float reach = 1.0f / parallax;
+  const float reach = kRefineReach / parallax;
   const int steps = static_cast<int>(std::ceil(reach / (static_cast<float>(grid.step) / 8.0f)));
   const int nearest =
       floor_int((d * 8.0f - static_cast<float>(grid.first)) / static_cast<float>(grid.step) + 0.5f);
@@ -140,6 +143,56 @@ SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_
   return {static_cast<float>(p.x), static_cast<float>(p.y), grid.value(best), lowest};
 }
 
+// Where the reference is blind: other cameras' points count only there, so that most need no matching at all.
+struct BlindSpots {
+  // blind: widened by kMargin, which covers what refinement and residual row offsets still move; null:
+  // everywhere.
+  BlindSpots(const Array& view, int reference, const Grid& grid, const uint8_t* blind)
+      : view(view),
+        blind(blind),
+        reference(reference),
+        far_end(view.shift(reference, grid.value(0))),
+        near_end(view.shift(reference, grid.value(grid.count - 1))) {
+    if (!blind) return;
+    sums.assign(static_cast<size_t>(view.height) * (view.width + 1), 0);
+    for (int y = 0; y < view.height; ++y) {
+      int* row = sums.data() + static_cast<size_t>(y) * (view.width + 1);
+      for (int x = 0; x < view.width; ++x)
+        row[x + 1] = row[x] + blind[static_cast<size_t>(y) * view.width + x];
+    }
+  }
+
+  // False only if no disparity of the grid takes the point to where the reference is blind.
+  bool reachable(Point p) const {
+    if (!blind) return true;
+    const int x0 = p.x + whole_offset(ray_dx(far_end, p.x, view.cx)), y0 = row(far_end, p);
+    const int x1 = p.x + whole_offset(ray_dx(near_end, p.x, view.cx)), y1 = row(near_end, p);
+    if (std::abs(y1 - y0) > kMargin - 2) return true;  // too crooked an array to say from one row
+    const int y = clamp((y0 + y1) / 2, 0, view.height - 1);
+    const int* sum = sums.data() + static_cast<size_t>(y) * (view.width + 1);
+    return sum[clamp(std::max(x0, x1) + 1, 0, view.width)] > sum[clamp(std::min(x0, x1), 0, view.width)];
+  }
+
+  // False only if refining d cannot take the point to where the reference is blind.
+  bool reached(Point p, float d, float moves) const {
+    if (!blind || moves > kMargin - 2) return true;
+    const RayShift shift = view.shift(reference, d);
+    const int x = p.x + whole_offset(ray_dx(shift, p.x, view.cx)), y = row(shift, p);
+    return x < -kMargin || x >= view.width + kMargin || y < -kMargin || y >= view.height + kMargin
+               ? false
+               : blind[static_cast<size_t>(clamp(y, 0, view.height - 1)) * view.width +
+                       clamp(x, 0, view.width - 1)];
+  }
+
+  int row(const RayShift& shift, Point p) const { return p.y + whole_offset(ray_dy(shift, p.y, view.cy)); }
+
+  const Array& view;
+  const uint8_t* blind;
+  int reference;
+  RayShift far_end, near_end;
+  std::vector<int> sums;
+};
+
 int texture(const uint8_t* descriptor) {
   int sum = 0;
   for (int m = 0; m < kSamples; ++m) sum += descriptor[m] > 128 ? descriptor[m] - 128 : 128 - descriptor[m];
@@ -149,8 +202,9 @@ int texture(const uint8_t* descriptor) {
 }  // namespace
 
 int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
-                      const uint8_t* descriptors, const uint8_t* is_static, const Grid& grid,
-                      const SupportParams& params, SupportPoint* points) {
+                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* blind,
+                      int reference, const Grid& grid, const SupportParams& params, SupportPoint* points) {
+  const BlindSpots spots(view, reference, grid, blind);
   const Matcher forth(view, base, partner, descriptors, is_static, grid, params);
   const Matcher back(back_view, partner, base, descriptors, is_static, grid, params);
   const uint8_t* base_static = is_static + base * view.pixels();
@@ -165,9 +219,12 @@ int support_of_camera(const Array& view, const Array& back_view, int base, int p
       for (int i = 0; i < columns; ++i) {
         const Point p{i * params.grid, j * params.grid};
         if (!within_margin(p.x, p.y, view.width, view.height) || !base_static[forth.at(p)]) continue;
+        if (!spots.reachable(p)) continue;
         if (texture(forth.from + forth.at(p) * kSamples) < params.texture) continue;
         const int there = forth.best(p, scratch);
         if (there < 0) continue;
+        const float moves = kRefineReach * std::fabs(view.offsets[kOffsets * reference]) / forth.parallax;
+        if (!spots.reached(p, forth.disparities[there], moves)) continue;
         const Point q = forth.land(p, there);
         const int again = back.best(q, scratch);
         if (again < 0 || std::abs(back.land(q, again).x - p.x) > params.left_right) continue;

@@ -27,7 +27,7 @@ class DisparityGrid:
         low, high = options.min_disparity, options.max_disparity or 0.45 * width
         if high <= low:
             raise OptionsError(
-                f"options range.min_disparity ({low:g} px) and range.max_disparity ({high:g} px) leave nothing to search"
+                f"options range.min_disparity ({low:g} px) and range.max_disparity ({high:g} px) leave nothing between"
             )
         step = max(1, round(EIGHTHS * options.step))
         first = round(EIGHTHS * low)

@@ -80,11 +80,15 @@ def _size(what: str, name: str, array: np.ndarray, resolution: tuple[int, int]) 
 
 def rectified_frame(rectification: Rectification, images: list[np.ndarray], masks: list[np.ndarray]) -> Frame:
     """Stage "rectify": all cameras' images and masks in the common orientation and intrinsics."""
-    views = [rectification.image(k, image) for k, image in enumerate(images)]
+    width, height = rectification.geometry.size
+    colour = np.empty((len(images), height, width, *images[0].shape[2:]), np.uint8)
+    for k, image in enumerate(images):
+        if rectification.image(k, image, out=colour[k]) is image:  # it passes through
+            colour[k] = image
     dynamic = np.stack([rectification.dynamic(k, mask) for k, mask in enumerate(masks)])
-    if views[0].ndim == 2:
-        grey = np.stack(views)
-        return Frame(grey[..., None], grey, dynamic)
-    colour = np.stack(views)
-    grey = np.stack([cv2.cvtColor(view, cv2.COLOR_BGR2GRAY) for view in views])
+    if colour.ndim == 3:
+        return Frame(colour[..., None], colour, dynamic)
+    grey = np.empty(colour.shape[:3], np.uint8)
+    for k in range(len(images)):
+        cv2.cvtColor(colour[k], cv2.COLOR_BGR2GRAY, dst=grey[k])
     return Frame(colour, grey, dynamic)

@@ -31,7 +31,7 @@ class StageOptions:
 
 
 def _checked(owner: str, f: dataclasses.Field, value: Any) -> Any:
-    kind = type(f.default)
+    kind: Any = type(f.default)
     name = f"{owner.removesuffix('Options').lower()}.{f.name}"
     if kind is bool:
         if isinstance(value, str) and value.lower() in ("true", "false", "1", "0", "yes", "no", "on", "off"):
@@ -43,7 +43,7 @@ def _checked(owner: str, f: dataclasses.Field, value: Any) -> Any:
         number = kind(value)
         if kind is int and float(value) != number:
             raise ValueError
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise OptionsError(
             f"option {name}: {value!r} is not {'a whole number' if kind is int else 'a number'}"
         ) from None
@@ -82,7 +82,7 @@ class PriorOptions(StageOptions):
 
     gamma: float = option(0.005, "", 1e-9, 100, "uniform part of p(d|T,x)")
     sigma: float = option(2.0, "px", 0.05, 64, "spread of the Gaussian part around the plane mean mu")
-    radius: float = option(6.0, "px", 0, 256, "candidates reach this far around mu")
+    radius: float = option(3.0, "px", 0, 256, "candidates reach this far around mu")
     max_step: float = option(8.0, "px", 0, 4096, "triangles whose corners differ more bridge a depth edge, not a plane")
     neighbour_radius: float = option(0.5, "px", 0, 64, "and this far around every support point of the 3x3 cells")
 
@@ -94,7 +94,7 @@ class DisparityOptions(StageOptions):
     beta: float = option(0.03, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
     median_passes: int = option(5, "passes", 0, 20, "5x5 medians of the disparity")
     lone_variance: float = option(200.0, "grey level^2", 0, 1e6, "stands for the variance that a lone ray lacks")
-    unseen_variance: float = option(800.0, "grey level^2", 0, 1e6, "the same where no ray is static")
+    unseen_variance: float = option(400.0, "grey level^2", 0, 1e6, "the same where no ray is static")
 
 
 @dataclass(frozen=True)

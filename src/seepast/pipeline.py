@@ -14,7 +14,8 @@ from types import ModuleType
 import numpy as np
 
 from . import backends
-from .candidates import DisparityGrid
+from .candidates import EIGHTHS, DisparityGrid
+from .evidence import UNCHANGED
 from .frames import Frame, check_frame, rectified_frame
 from .geometry import ArrayGeometry
 from .options import Options
@@ -39,7 +40,7 @@ def see_past(
     """
     grid = DisparityGrid.of(options.range, geometry.size[0])
     # S^k of every camera's own pixels, at first by thresholding the static prior S_P = 1 - P(dynamic)
-    static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
+    initial = static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
 
     with clock("describe"):  # f(x): 3x3 Sobel responses, sampled 16 times around the pixel
         features = backend.describe(frame.grey)
@@ -48,30 +49,38 @@ def see_past(
     with clock("prior"):  # p(d|T,x) ~ gamma + exp(-(d - mu)^2 / 2 sigma^2), mu on the Delaunay planes
         prior = backend.prior(points, static.shape[1:], grid, options.prior)
 
-    dynamic = frame.dynamic
-    for round_ in range(1, options.segmentation.max_rounds + 1):
-        keep = static[geometry.reference]  # the reference sees these itself
-        wanted = ~keep if dynamic_only else np.ones_like(keep)
+    # What is estimated: every reference pixel, or those that it does not see itself. EM until the labels stand still;
+    # after the first round only what changed is done again, which gives the same as doing all.
+    wanted = ~static[geometry.reference] if dynamic_only else np.ones(static.shape[1:], bool)
+    redo, changed, rounds, still = wanted, np.zeros_like(static), 0, False
+    raw, d = np.zeros(wanted.shape, np.float32), np.full(wanted.shape, -1, np.float32)
+    labels, posterior = np.zeros(wanted.shape, np.uint16), np.full_like(frame.dynamic, UNCHANGED)
+    while not still and rounds < options.segmentation.max_rounds:
         with clock("disparity"):  # M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d|T,x)
-            d = backend.disparity(features, static, geometry, prior, grid, wanted, options)
+            if rounds:
+                redo = backend.affected(changed, geometry, prior, grid, wanted, options)
+            raw = np.where(redo, backend.disparity(features, static, geometry, prior, grid, redo, options), raw)
+            before, d = d, backend.smooth(raw, prior, wanted, options.disparity)
         with clock("segmentation"):  # E-step: argmin_S beta Var_S - sum_k log p(S^k|S_P^k)
-            labels, posterior = backend.segmentation(features, frame.dynamic, geometry, d, wanted, options)
+            redo = wanted & (d != before)
+            found = backend.segmentation(features, frame.dynamic, geometry, d, redo, options)
+            labels, posterior = np.where(redo, found[0], labels), np.where(redo, found[1], posterior)
         with clock("masks"):  # labels of (reference pixel, camera) pairs -> each camera's own pixels
-            dynamic, refined = backend.masks(labels, posterior, geometry, d, wanted, frame.dynamic, static)
-        still = np.array_equal(refined, static)
-        static = refined
-        if still:
-            break
+            dynamic, refined = backend.masks(labels, posterior, geometry, d, wanted, frame.dynamic, initial)
+            changed, static = refined != static, refined
+        rounds, still = rounds + 1, not changed.any()
 
+    keep = static[geometry.reference]  # the reference sees these itself
     if dynamic_only:  # the rest was not estimated: its own ray, and no disparity
-        labels = np.where(keep, np.uint16(1 << geometry.reference), labels)
-        d = np.where(keep, np.float32(0), d)
+        labels = np.where(wanted, labels, np.uint16(1 << geometry.reference))
+        keep = keep | ~wanted
     with clock("refocus"):  # I* = sum_k S^k I_k(x^k) / sum_k S^k, 3x3 median
-        kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
-        background, coverage = backend.refocus(frame.colour, labels, geometry, d, kept, options.refocus)
+        kept = keep if options.refocus.keep_reference else ~wanted
+        surface = np.where(wanted, d, prior.mean.astype(np.float32) / EIGHTHS)  # around the rest, to fill from
+        background, coverage = backend.refocus(frame.colour, labels, geometry, surface, kept, options.refocus)
     return {
         "background": background, "disparity": d, "coverage": coverage, "labels": labels, "dynamic": dynamic
-    }, round_  # fmt: skip
+    }, rounds  # fmt: skip
 
 
 class Clock:
@@ -121,7 +130,7 @@ class Reconstructor:
         DisparityGrid.of(self.options.range, self.rectification.geometry.size[0])  # an empty range fails here
 
     def __call__(self, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None) -> Result:
-        """One instant: K images uint8 [h, w] or [h, w, 3] BGR; K masks uint8 255 * P(dynamic), bool, or 0..1 floats.
+        """One instant: K images uint8 [h, w] or [h, w, 3] BGR; K masks uint8 255 * P(dynamic), bool, or floats 0..1.
 
         masks None: nothing is dynamic. Raises InputError.
         """

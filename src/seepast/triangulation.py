@@ -20,10 +20,10 @@ def with_corners(points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def delaunay(points: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Delaunay triangles of distinct whole-pixel points: float32 [N, >= 2] (x, y, ...) -> int32 [T, 3] indices."""
+    """Delaunay triangles of distinct whole-pixel points: float32 [N, >= 2] (x, y ...) -> int32 [T, 3] indices."""
     height, width = shape
     division = cv2.Subdiv2D((0, 0, width, height))
-    division.insert(np.ascontiguousarray(points[:, :2], np.float32))
+    division.insert(points[:, :2].astype(np.float32))  # type: ignore[call-overload]  # takes arrays, and fast
     corners = np.asarray(division.getTriangleList(), np.float32).reshape(-1, 3, 2)
     # OpenCV also lists triangles of its own bounding triangle; their corners lie outside the image.
     real = ((corners >= 0) & (corners <= (width - 1, height - 1))).all((1, 2))

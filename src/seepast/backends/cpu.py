@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from .. import _core
 from ..candidates import CELL, EIGHTHS, DisparityGrid, Prior, prior_energy
-from ..evidence import POSTERIOR, POSTERIOR_SCALE, prior_costs, NATS
+from ..evidence import NATS, POSTERIOR, POSTERIOR_SCALE, prior_costs
 from ..geometry import ArrayGeometry
 from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
 from ..triangulation import delaunay, with_corners
@@ -16,6 +17,8 @@ from .reference import (
     FOREGROUND_WEIGHT,
     NEARER,
     NO_PLANE,
+    PATTERN_REACH,
+    SUPPORT_MARGIN,
     clear_of_people,
     consistent,
     fill_gaps,
@@ -23,9 +26,21 @@ from .reference import (
     median3,
     merged,
     neighbour_camera,
-    smoothed,
+    smooth,
 )
 
+__all__ = [
+    "affected",
+    "describe",
+    "disparity",
+    "masks",
+    "prior",
+    "refocus",
+    "segmentation",
+    "set_threads",
+    "smooth",
+    "support",
+]
 set_threads = _core.set_threads
 
 
@@ -51,9 +66,10 @@ def support(
     grid: DisparityGrid,
     options: SupportOptions,
 ) -> np.ndarray:
-    clear = clear_of_people(static)
+    clear, reference = clear_of_people(static), geometry.reference
+    blind = cv2.dilate(_bytes(~static[reference]), np.ones((2 * SUPPORT_MARGIN + 1,) * 2, np.uint8))
     found = [
-        into_reference(static, geometry, base, _match_camera(features, clear, geometry, base, grid, options))
+        into_reference(static, geometry, base, _match_camera(features, clear, blind, geometry, base, grid, options))
         for base in range(geometry.cameras)
     ]
     return consistent(merged(np.concatenate(found), static.shape[1:], options), options)
@@ -62,6 +78,7 @@ def support(
 def _match_camera(
     features: Features,
     clear: np.ndarray,
+    blind: np.ndarray,
     geometry: ArrayGeometry,
     base: int,
     grid: DisparityGrid,
@@ -76,7 +93,7 @@ def _match_camera(
     points = np.empty((tried, 4), np.float32)
     count = _core.support_of_camera(
         view.offsets, back.offsets, *view.center, *back.center, base, partner,
-        features.descriptors, _bytes(clear), _grid(grid), params, points,
+        features.descriptors, _bytes(clear), blind, geometry.reference, _grid(grid), params, points,
     )  # fmt: skip
     return points[:count]
 
@@ -109,10 +126,28 @@ def disparity(
     out = np.empty((height, width), np.float32)
     _core.disparity(
         geometry.offsets, *_center(geometry), phases, prior.mean, prior.cells, _grid(grid), _bytes(wanted),
-        options.disparity.beta, options.disparity.lone_variance, options.disparity.unseen_variance, int(EIGHTHS * options.prior.radius),
-        prior_energy(options.prior), out,
+        options.disparity.beta, options.disparity.lone_variance, options.disparity.unseen_variance,
+        int(EIGHTHS * options.prior.radius), prior_energy(options.prior), out,
     )  # fmt: skip
-    return smoothed(out, prior, wanted, options.disparity.median_passes)
+    return out
+
+
+def affected(
+    changed: np.ndarray,
+    geometry: ArrayGeometry,
+    prior: Prior,
+    grid: DisparityGrid,
+    wanted: np.ndarray,
+    options: Options,
+) -> np.ndarray:
+    square = np.ones((2 * (PATTERN_REACH + 1) + 1,) * 2, np.uint8)
+    near = np.stack([cv2.dilate(view.view(np.uint8), square) for view in changed])
+    out = np.empty(wanted.shape, bool)
+    _core.affected(
+        geometry.offsets, *_center(geometry), near, prior.mean, prior.cells, _grid(grid), _bytes(wanted),
+        int(EIGHTHS * options.prior.radius), _bytes(out),
+    )  # fmt: skip
+    return out
 
 
 def segmentation(

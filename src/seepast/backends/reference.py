@@ -4,9 +4,9 @@ Every other backend has these functions with these names, arguments and results,
 bit for bit. Symbols are those of the paper and DESIGN.md: K cameras, reference pixel x, its ray x^k = W_k(x, d)
 in camera k, disparity d over the full array, static label S^k.
 
-Common shapes:  features: what `describe` returns, gradients int8 [K, 2, H, W];  dynamic uint8 [K, H, W] (254ths of P(dynamic), 255 = NO_RAY);
-static bool [K, H, W] (label of a camera's own pixel);  labels uint16 [H, W] (bit k: ray k of this reference
-pixel is static);  points float32 [N, 3] (x, y, d in the reference view).
+Common shapes:  features: what `describe` returns, gradients int8 [K, 2, H, W];  dynamic uint8 [K, H, W] (254ths of
+P(dynamic), 255 = NO_RAY);  static bool [K, H, W] (label of a camera's own pixel);  labels uint16 [H, W] (bit k: ray k
+of this reference pixel is static);  points float32 [N, 3] (x, y, d in the reference view).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ..candidates import CELL, EIGHTHS, DisparityGrid, Prior, prior_energy
 from ..evidence import NATS, POSTERIOR, UNCHANGED, posterior_index, prior_costs
 from ..geometry import ArrayGeometry
-from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
+from ..options import DisparityOptions, Options, PriorOptions, RefocusOptions, SupportOptions
 from ..rectify import NO_RAY
 from ..triangulation import delaunay, with_corners
 
@@ -38,6 +38,7 @@ PATTERN_DU = (
     (2, 0),
 )
 PATTERN_DV = ((-1, 0), (0, -1), (0, 1), (1, 0))
+PATTERN_REACH = 2  # px, the farthest sample
 SAMPLES = len(PATTERN_DU) + len(PATTERN_DV)
 SUPPORT_BLOCK = (
     (-2, -2),
@@ -149,7 +150,8 @@ def variance_map(
     inverse = np.float32(1) / np.maximum(n, 1).astype(np.float32)
     var = ((n * squares - total * total).astype(np.float32) * (inverse * inverse)).astype(np.int32)
     packed = np.where(known, var + SAMPLE_KNOWN, 0)  # the variance and its count in one integer
-    summed = sum(shifted(packed[g], dy, dx) for g, p in enumerate((PATTERN_DU, PATTERN_DV)) for dy, dx in p)
+    samples = [(0, *at) for at in PATTERN_DU] + [(1, *at) for at in PATTERN_DV]
+    summed = np.sum([shifted(packed[g], dy, dx) for g, dy, dx in samples], axis=0)
     count = np.maximum(summed // SAMPLE_KNOWN, 1).astype(np.float32)
     scale = np.float32(SAMPLES) / count
     return (summed % SAMPLE_KNOWN).astype(np.float32) * scale, n
@@ -287,9 +289,12 @@ def best_match(gradients, static, view, partner, grid, options, x, y) -> tuple[n
 NO_MATCH = 1 << 20
 
 
+REFINE_REACH = np.float32(0.75)  # px in the partner: a whole-pixel match is off by half of one, or a little more
+
+
 def refine(gradients, static, view, grid, partner, x, y, d) -> tuple[np.ndarray, np.ndarray]:
-    """The candidate within one neighbour step of d that has the least variance over all static rays, and that."""
-    reach = np.float32(1) / np.abs(view.offsets[partner, 0])
+    """The candidate near d that has the least variance over all static rays, and that."""
+    reach = REFINE_REACH / np.abs(view.offsets[partner, 0])
     steps = int(np.ceil(reach / np.float32(grid.step / 8)))
     nearest = np.floor((d * 8 - np.float32(grid.first)) / np.float32(grid.step) + np.float32(0.5)).astype(np.int32)
     best, lowest = nearest.clip(0, grid.count - 1), np.full(len(x), np.inf, np.float32)
@@ -409,7 +414,7 @@ def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int
 
 def fill_gaps(mean: np.ndarray) -> np.ndarray:
     """Pixels that no triangle covers (slivers at the hull) take the nearest covered pixel of their row, or column."""
-    for m in (mean, mean.T):
+    for m in (mean, mean.T) if (mean == NO_PLANE).any() else ():
         for line in m:
             gaps = np.flatnonzero(line == NO_PLANE)
             known = np.flatnonzero(line != NO_PLANE)
@@ -456,8 +461,7 @@ def disparity(
     found = np.zeros(shape, np.float32)
     for i, d in enumerate(grid.values):
         away = np.abs(grid.first + i * grid.step - prior.mean)
-        of_cell = prior.cells[:, :, i].repeat(CELL[0], 0).repeat(CELL[1], 1)[: shape[0], : shape[1]]
-        candidate = wanted & ((away <= int(EIGHTHS * options.prior.radius)) | (of_cell > 0))
+        candidate = wanted & is_candidate(prior, grid, i, options.prior.radius)
         if not candidate.any():
             continue
         variance, n = variance_map(features, static, geometry, d)
@@ -466,13 +470,52 @@ def disparity(
         better = candidate & (energy < best)
         best = np.where(better, energy, best)
         found = np.where(better, d, found)
-    return smoothed(found, prior, wanted, options.disparity.median_passes)
+    return found
 
 
-def smoothed(disparity: np.ndarray, prior: Prior, wanted: np.ndarray, passes: int) -> np.ndarray:
-    """5x5 medians, repeated, against the single wrong pixels of a pixelwise argmin; the prior stands around `wanted`."""
+def affected(
+    changed: np.ndarray,
+    geometry: ArrayGeometry,
+    prior: Prior,
+    grid: DisparityGrid,
+    wanted: np.ndarray,
+    options: Options,
+) -> np.ndarray:
+    """Reference pixels that a change of labels can concern: bool [H, W]; all others keep their disparity.
+
+    changed bool [K, H, W]. A pixel's energy at a candidate looks at the labels that its rays, and those of the
+    pixels its descriptor samples, end on: PATTERN_REACH around, one more where residual offsets bend the rows.
+    """
+    shape = wanted.shape
+    square = np.ones((2 * (PATTERN_REACH + 1) + 1,) * 2, np.uint8)
+    near = np.stack([cv2.dilate(view.view(np.uint8), square) for view in changed])
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    out = np.zeros(shape, bool)
+    for i, d in enumerate(grid.values):
+        candidate = wanted & is_candidate(prior, grid, i, options.prior.radius)
+        for k in range(geometry.cameras if candidate.any() else 0):
+            xq, row = quarter_positions(geometry, k, x, y, d)
+            for column in (xq >> 2, (xq >> 2) + 1):
+                hit = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1]) & candidate
+                hit[hit] = near[k, row[hit], column[hit]] > 0
+                out |= hit
+    return out
+
+
+def is_candidate(prior: Prior, grid: DisparityGrid, i: int, radius: float) -> np.ndarray:
+    """bool [H, W]: d_i is near the pixel's prior mean, or suggested by a support point around its cell."""
+    height, width = prior.mean.shape
+    of_cell = prior.cells[:, :, i].repeat(CELL[0], 0).repeat(CELL[1], 1)[:height, :width]
+    return (np.abs(grid.first + i * grid.step - prior.mean) <= int(EIGHTHS * radius)) | (of_cell > 0)
+
+
+def smooth(disparity: np.ndarray, prior: Prior, wanted: np.ndarray, options: DisparityOptions) -> np.ndarray:
+    """5x5 medians, repeated, against the single wrong pixels of a pixelwise argmin: float32 [H, W] px.
+
+    Around `wanted` the prior mean stands in; there the result is 0.
+    """
     found = np.where(wanted, disparity, prior.mean.astype(np.float32) / EIGHTHS)
-    for _ in range(passes):
+    for _ in range(options.median_passes):
         found = cv2.medianBlur(found, 5)
     return np.where(wanted, found, np.float32(0))
 
@@ -581,7 +624,10 @@ def refocus(
 
 def popcount(labels: np.ndarray) -> np.ndarray:
     """Number of static rays of every label set, uint8."""
-    return sum((labels >> k & 1).astype(np.uint8) for k in range(16))
+    count = np.zeros(labels.shape, np.uint8)
+    for k in range(16):
+        count += (labels >> k & 1).astype(np.uint8)
+    return count
 
 
 def bilinear(image: np.ndarray, x, y, dx, dy) -> np.ndarray:
@@ -607,10 +653,8 @@ def fill_unseen(background: np.ndarray, coverage: np.ndarray, disparity: np.ndar
     The nearest seen pixels to the left, right, top and bottom, weighted by 1 / distance^2; one that lies more
     than NEARER px nearer than the disparity found here is foreground, and counts FOREGROUND_WEIGHT of that.
     """
-    height, width = coverage.shape
     total = np.zeros(background.shape, np.float32)
     weights = np.zeros(coverage.shape, np.float32)
-    y, x = np.mgrid[:height, :width]
     for row, column, distance in nearest_seen(coverage > 0):
         found = distance > 0
         weight = np.float32(1) / np.maximum(distance * distance, 1).astype(np.float32)
