@@ -34,8 +34,11 @@ Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, s
 
 }  // namespace
 
+void bind_people(nb::module_& m);  // bindings_people.cpp
+
 NB_MODULE(_core, m) {
   bind_multiview(m);
+  bind_people(m);
   nb::class_<Grid>(m, "Grid").def(nb::init<int, int, int>());
   nb::class_<SupportParams>(m, "SupportParams").def(nb::init<int, int, int, float, float>());
   const auto free_lock = nb::call_guard<nb::gil_scoped_release>();

@@ -243,7 +243,7 @@ def test_planes_straighten_slants():
 def test_range_of_the_static_scene():
     scene = make_scene(5, (140, 64), colour=True)  # the wall is at 12 px, the person at 44
     static = scene.dynamic <= 127
-    grid = multiview.static_range(multiview.three_channels(scene.colour), static, scene.geometry, OPTIONS, cpu)
+    grid = static_range(scene, static)
     assert grid.values[0] <= 10
     assert 14 <= grid.values[-1] <= 34
     assert grid.count % multiview.LANES == 0
@@ -252,7 +252,7 @@ def test_range_of_the_static_scene():
 def test_range_where_nothing_is_sure_is_the_whole_search():
     scene = make_scene(3, (120, 60), masks="all", colour=True)
     static = scene.dynamic <= 127
-    grid = multiview.static_range(multiview.three_channels(scene.colour), static, scene.geometry, OPTIONS, cpu)
+    grid = static_range(scene, static)
     assert grid.values[0] == 0
     assert grid.values[-1] >= 60
 

@@ -7,18 +7,20 @@ per stage, in order, of the backend's many-view module (backends.multiview).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from . import backends
 from .candidates import EIGHTHS, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
+from .people import refine_people
 
 if TYPE_CHECKING:
     from .pipeline import Clock
@@ -39,12 +41,20 @@ def see_past(
     o, K, r = options.multiview, geometry.cameras, geometry.reference
     views = [geometry.seen_from(k) for k in range(K)]
     colour = three_channels(frame.colour)
-    static = frame.dynamic <= 254 * (1 - o.threshold)
     first = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, o.dynamic_penalty)
     final = Penalties.of(o.final_small_penalty, o.final_large_penalty, o.final_least_penalty, o.final_dynamic_penalty)
 
+    with clock("surfaces"):  # what every camera sees, people included, at a coarse look
+        scale = coarseness(geometry, options)
+        seen = surfaces(colour, geometry, search_range(geometry, options), scale, o, backend)
+    dynamic = frame.dynamic
+    if options.people.enabled:
+        with clock("people"):  # masks from all views: people as surfaces that all cameras see
+            whole = enlarged(seen.disparity.astype(np.float32) * np.float32(scale / UNITS), scale, dynamic.shape)
+            dynamic = refine_people(frame, whole, geometry, options.people, backends.people(backend))
+    static = dynamic <= 254 * (1 - o.threshold)
     with clock("range"):  # candidates: between what the static surfaces span
-        fine = static_range(colour, static, geometry, options, backend)
+        fine = static_range(seen, scale, static, geometry, options)
         grid = thinned(fine, o.view_step)
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
@@ -91,7 +101,7 @@ def see_past(
         "disparity": disparity,
         "coverage": ray_count(shown),
         "labels": shown,
-        "dynamic": frame.dynamic,
+        "dynamic": dynamic,
     }, o.rounds
 
 
@@ -130,22 +140,37 @@ def confirmed(found, colour, static, views, o: MultiviewOptions, backend, clock)
 # --------------------------------------------------------------------------------------------------- range
 
 
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What every camera sees, people included: disparity uint16 [K, h, w] in 32nds of a reduced pixel, and bool
+    [K, h, w] where another view confirms it."""
+
+    disparity: np.ndarray
+    agree: np.ndarray
+
+
+def coarseness(geometry: ArrayGeometry, options: Options) -> int:
+    """How often views are reduced for the coarse look: the masks want more of it than the range does."""
+    width, scale = geometry.size[0], 1
+    if not options.people.enabled:
+        return max(1, min(options.multiview.range_scale, width // 64))
+    while width // scale > options.people.surface_width:
+        scale *= 2
+    return scale
+
+
 def static_range(
-    colour: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, options: Options, backend: ModuleType
+    seen: Surfaces, scale: int, static: np.ndarray, geometry: ArrayGeometry, options: Options
 ) -> DisparityGrid:
-    """The candidates between which the static scene lies, by a coarse look at all surfaces without masks.
+    """The candidates between which the static scene lies.
 
     The 0.3 and 99.7 percentiles of disparities that another view confirms, clear of people, and a margin.
     """
-    o = options.multiview
-    width = colour.shape[2]
-    search = search_range(geometry, options)
-    scale = max(1, min(o.range_scale, width // 64))
-    found, agree = surfaces(colour, geometry, search, scale, o, backend)
+    o, search = options.multiview, search_range(geometry, options)
     clear = cv2.erode(static.view(np.uint8).transpose(1, 2, 0), np.ones((21, 21), np.uint8), borderValue=1)
     clear = clear.reshape(*static.shape[1:], -1).transpose(2, 0, 1)[:, scale // 2 :: scale, scale // 2 :: scale]
-    clear = clear[:, : found.shape[1], : found.shape[2]].astype(bool)
-    sure = found[:, : clear.shape[1], : clear.shape[2]][clear & agree[:, : clear.shape[1], : clear.shape[2]]]
+    height, width = (min(a, b) for a, b in zip(clear.shape[1:], seen.disparity.shape[1:], strict=True))
+    sure = seen.disparity[:, :height, :width][clear[:, :height, :width].astype(bool) & seen.agree[:, :height, :width]]
     low, high = search.values[0], search.values[-1]
     if len(sure):
         inner = np.percentile(sure, (0.3, 99.7)) * (scale / UNITS)
@@ -156,6 +181,15 @@ def static_range(
     count = int(np.ceil((EIGHTHS * high - start) / step)) + 1
     whole = LANES * o.view_step
     return DisparityGrid(start, step, -(-count // whole) * whole)
+
+
+def enlarged(views: np.ndarray, scale: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Views of reduced size with every pixel repeated, up to `shape`: [K, h, w] -> [K, H, W]."""
+    if scale == 1:
+        return views
+    whole = views.repeat(scale, 1).repeat(scale, 2)
+    missing = [(0, 0)] + [(0, max(0, want - have)) for want, have in zip(shape[1:], whole.shape[1:], strict=True)]
+    return np.ascontiguousarray(np.pad(whole, missing, mode="edge")[:, : shape[1], : shape[2]])
 
 
 def thinned(grid: DisparityGrid, every: int) -> DisparityGrid:
@@ -183,11 +217,8 @@ def surfaces(
     scale: int,
     o: MultiviewOptions,
     backend: ModuleType,
-) -> tuple[np.ndarray, np.ndarray]:
-    """What every camera sees, people included, on views reduced `scale` times.
-
-    Returns disparities uint16 [K, h, w] in 32nds of a *reduced* pixel, and where another view confirms them.
-    """
+) -> Surfaces:
+    """What every camera sees, people included, on views reduced `scale` times: no masks, full search range."""
     small = reduced(geometry, scale)
     size = small.size
     if scale > 1:
@@ -207,7 +238,7 @@ def surfaces(
         ]
     )
     agree = [backend.witnesses(found[k], found, static, view, k, agreement(o))[0] > 0 for k, view in enumerate(views)]
-    return found, np.stack(agree)
+    return Surfaces(found, np.stack(agree))
 
 
 def reduced(geometry: ArrayGeometry, scale: int) -> ArrayGeometry:

@@ -154,6 +154,41 @@ class MultiviewOptions(StageOptions):
 
 
 @dataclass(frozen=True)
+class PeopleOptions(StageOptions):
+    """Masks refined from all views (people.py). Lattice px: of the object-level steps' sampling."""
+
+    enabled: bool = option(True, "", None, None, "the many-view method refines the masks before it uses them")
+    surface_width: int = option(500, "px", 32, 4096, "surfaces are found on views halved until they are no wider")
+    working_width: int = option(400, "px", 32, 4096, "object-level steps look at about that many pixels of a row")
+    same_surface: float = option(2.0, "px", 0, 64, "views whose disparities differ by less see the same surface")
+    trusted: float = option(0.05, "", 0, 1, "masks that disagree less between views are taken as they are")
+    cell_width: float = option(0.09, "x width", 0.01, 1, "size of an object's cell across")
+    cell_height: float = option(0.5, "x height", 0.01, 1, "and down")
+    cell_disparity: float = option(0.05, "x nearest", 0.005, 1, "and in disparity")
+    cell_blur: float = option(0.8, "cells", 0, 4, "Gaussian by which cells lend to their neighbours")
+    least_share: float = option(0.35, "", 0.01, 1, "objects are compared with at least that share of P")
+    least_area: float = option(0.003, "x area", 0, 1, "people that fill less of the views are not there")
+    inner: int = option(4, "lattice px", 0, 64, "sure to be a person: that deep inside an object")
+    outer: int = option(0, "lattice px", 0, 64, "sure to be static: that far outside")
+    sure_said: float = option(1.5, "nats", -10, 10, "and only where the cameras' P says at least that")
+    sure: float = option(2.0, "nats", 0, 10, "log-odds of sure pixels; three times that outside")
+    unsure: float = option(0.0, "nats", -10, 10, "log-odds of pixels in between")
+    said: float = option(0.4, "", 0, 10, "weight of what the cameras' P says")
+    local: float = option(10.0, "nats", 0, 20, "per unit of the label as a local linear function of colour")
+    colour: float = option(1.2, "", 0, 3, "weight of the colours' log ratio")
+    colour_doubt: float = option(8.0, "px", 0.01, 1e5, "as many more pixels of undecided label in every bin of colour")
+    window: int = option(65, "lattice px", 5, 501, "side of the window of the local linear label")
+    ridge: float = option(0.001, "", 1e-6, 1, "its regularisation, colours in 0..1")
+    field: float = option(5.0, "nats", 0, 11, "cost of a label change between pixels of one colour")
+    least_cost: float = option(0.1, "", 0, 1, "share of that which contrast cannot lower")
+    contrast: float = option(5.0, "grey levels", 0.5, 100, "colour step that tells surfaces apart")
+    depth_step: float = option(2.0, "px", 0, 64, "step of the surface that ends a person")
+    depth_cut: float = option(0.3, "", 0, 1, "what is left of the cost there")
+    grow: bool = option(True, "", None, None, "people include the mixed pixels of their outline")
+    belief_scale: float = option(3.0, "", 0.1, 100, "beliefs of the field are that much too sure")
+
+
+@dataclass(frozen=True)
 class Options:
     """All stages' options. Immutable; `updated` returns a changed copy."""
 
@@ -164,6 +199,7 @@ class Options:
     segmentation: SegmentationOptions = SegmentationOptions()
     refocus: RefocusOptions = RefocusOptions()
     multiview: MultiviewOptions = MultiviewOptions()
+    people: PeopleOptions = PeopleOptions()
 
     @staticmethod
     def preset(name: str) -> Options:

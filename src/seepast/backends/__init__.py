@@ -30,6 +30,11 @@ def multiview(backend: ModuleType) -> ModuleType:
     return importlib.import_module(f"{backend.__name__}_multiview")
 
 
+def people(many_view: ModuleType) -> ModuleType:
+    """The stages of the masks' refinement of the same backend, given its many-view stages."""
+    return importlib.import_module(many_view.__name__.replace("_multiview", "_people"))
+
+
 def set_threads(backend: ModuleType, threads: int) -> None:
     """Threads for the frames to come, where the backend has any; 0 = all cores. Never changes a result."""
     if hasattr(backend, "set_threads"):

@@ -1,0 +1,66 @@
+// The loops of the mask refinement (backends/reference_people.py is their specification; names are its).
+#pragma once
+
+#include "core.h"
+
+namespace seepast {
+
+constexpr uint8_t kNoSay = 255;
+constexpr uint16_t kUnknown = 65535;
+constexpr int kPooled = 64, kShare = 4096, kLevels = 16, kColours = 4096, kNats = 256, kMoments = 14;
+constexpr float kMaxPotential = 30.0f;
+
+// Every stride-th pixel of both axes, from stride / 2 on.
+struct Lattice {
+  int stride, height, width;  // of the lattice
+  Lattice(int image_height, int image_width, int stride)
+      : stride(stride), height(count(image_height, stride)), width(count(image_width, stride)) {}
+  static int count(int n, int stride) { return n > stride / 2 ? (n - stride / 2 + stride - 1) / stride : 0; }
+  size_t pixels() const { return static_cast<size_t>(height) * width; }
+  int image(int i) const { return i * stride + stride / 2; }
+};
+
+struct Cells {
+  float low[3], inverse[3], last[3];  // disparity, y, x
+  int count[3];
+};
+
+// `views`: the array as seen from each of its K cameras.
+void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance,
+               uint8_t* saw);
+void object_grid(const Array* views, int reference, const uint8_t* saw, const float* surfaces,
+                 const Cells& cells, int stride, uint16_t* mean, int64_t* sums);
+void object_slice(const Array* views, int reference, const float* grid, const uint16_t* mean,
+                  const float* surfaces, const Cells& cells, int stride, uint16_t* share);
+void border_counts(int cameras, int height, int width, const uint16_t* share, const uint16_t* mean,
+                   const float* surfaces, const int32_t* thresholds, int count, float step, int stride,
+                   int64_t* counts);
+void people_histograms(int cameras, int height, int width, int channels, const uint8_t* dynamic,
+                       const uint8_t* colour, const uint8_t* person, int stride, int64_t* levels,
+                       int64_t* colours);
+void colour_moments(int cameras, int height, int width, int channels, const uint8_t* colour,
+                    const int8_t* sure, int stride, int block, int32_t* moments);
+void log_odds(int cameras, int height, int width, const uint8_t* saw, const float* levels, int stride,
+              float* out);
+
+struct Terms {
+  const float* sure;     // [3]
+  float said, local;     // factors
+  const float* colours;  // [kColours]
+};
+// One camera.
+void potential(int height, int width, int channels, const float* said, const uint8_t* dynamic,
+               const uint8_t* colour, const float* linear, const int8_t* sure, int sure_height,
+               int sure_width, const Terms& terms, int stride, int cell, int16_t* u);
+
+struct FieldCosts {
+  const int16_t* contrast;
+  int count;
+  float depth_step;
+  int cut;
+};
+// All cameras.
+void field(int cameras, int height, int width, int channels, const int16_t* u, const uint8_t* colour,
+           const float* surfaces, const FieldCosts& costs, int stride, int16_t* belief);
+
+}  // namespace seepast
