@@ -134,7 +134,7 @@ class PeopleOptions(StageOptions):
     sure_said: float = option(1.5, "nats", -10, 10, "and only where the cameras' P says at least that")
     sure: float = option(2.0, "nats", 0, 10, "log-odds of sure pixels; three times that outside")
     unsure: float = option(0.0, "nats", -10, 10, "log-odds of pixels in between")
-    said: float = option(0.4, "", 0, 10, "weight of what the cameras' P says")
+    said: float = option(0.15, "", 0, 10, "weight of what the cameras' P says")
     local: float = option(10.0, "nats", 0, 20, "per unit of the label as a local linear function of colour")
     colour: float = option(1.2, "", 0, 3, "weight of the colours' log ratio")
     colour_doubt: float = option(8.0, "px", 0.01, 1e5, "as many more pixels of undecided label in every bin of colour")
@@ -144,7 +144,7 @@ class PeopleOptions(StageOptions):
     least_cost: float = option(0.1, "", 0, 1, "share of that which contrast cannot lower")
     contrast: float = option(5.0, "grey levels", 0.5, 100, "colour step that tells surfaces apart")
     depth_step: float = option(2.0, "px", 0, 64, "step of the surface that ends a person")
-    depth_cut: float = option(0.3, "", 0, 1, "what is left of the cost there")
+    depth_cut: float = option(1.0, "", 0, 1, "what is left of the cost there")
     grow: bool = option(True, "", None, None, "people include the mixed pixels of their outline")
     belief_scale: float = option(3.0, "", 0.1, 100, "beliefs of the field are that much too sure")
 
