@@ -134,7 +134,7 @@ class PeopleOptions(StageOptions):
     sure_said: float = option(1.5, "nats", -10, 10, "and only where the cameras' P says at least that")
     sure: float = option(2.0, "nats", 0, 10, "log-odds of sure pixels; three times that outside")
     unsure: float = option(0.0, "nats", -10, 10, "log-odds of pixels in between")
-    said: float = option(0.15, "", 0, 10, "weight of what the cameras' P says")
+    said: float = option(0.25, "", 0, 10, "weight of what the cameras' P says")
     local: float = option(10.0, "nats", 0, 20, "per unit of the label as a local linear function of colour")
     colour: float = option(1.2, "", 0, 3, "weight of the colours' log ratio")
     colour_doubt: float = option(8.0, "px", 0.01, 1e5, "as many more pixels of undecided label in every bin of colour")
