@@ -132,7 +132,7 @@ class PeopleOptions(StageOptions):
     inner: int = option(4, "lattice px", 0, 64, "sure to be a person: that deep inside an object")
     outer: int = option(0, "lattice px", 0, 64, "sure to be static: that far outside")
     sure_said: float = option(1.5, "nats", -10, 10, "and only where the cameras' P says at least that")
-    sure: float = option(2.0, "nats", 0, 10, "log-odds of sure pixels; three times that outside")
+    sure: float = option(2.0, "nats", 0, 9, "log-odds of sure pixels; three times that outside")
     unsure: float = option(0.0, "nats", -10, 10, "log-odds of pixels in between")
     said: float = option(0.25, "", 0, 10, "weight of what the cameras' P says")
     local: float = option(10.0, "nats", 0, 20, "per unit of the label as a local linear function of colour")
