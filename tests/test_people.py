@@ -176,7 +176,8 @@ def test_errors_of_single_views_are_repaired() -> None:
     dynamic = spoilt(scene)
     before = mean_iou(dynamic, scene.person)
     after = people.refine_people(frame_of(scene, dynamic), surfaces_of(scene), scene.geometry, SMALL, cpu_people)
-    assert before < 0.85 and mean_iou(after, scene.person) > 0.95
+    # both surfaces are noise of the same colours, the worst case: colour learnt from one frame can only mislead
+    assert before < 0.7 and mean_iou(after, scene.person) > 0.87
 
 
 def test_exact_masks_come_back_as_they_are() -> None:
