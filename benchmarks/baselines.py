@@ -100,14 +100,16 @@ def pair_disparity(scene: Scene) -> np.ndarray:
     sx, sy = geometry.offsets[other, 3:]
     width, height = geometry.size
     moved = cv2.warpAffine(
-        scene.views[other], np.float32([[1, 0, -sx], [0, 1, -sy]]), (width, height), borderMode=cv2.BORDER_REPLICATE
+        scene.views[other],
+        np.array([[1, 0, -sx], [0, 1, -sy]], np.float32),
+        (width, height),
+        borderMode=cv2.BORDER_REPLICATE,
     )
-    pair = [scene.reference, moved]
-    if along[other] < 0:  # the neighbour stands on the left, and SGBM wants the left image first
-        pair = [cv2.flip(image, 1) for image in pair]
     count = 16 * int(np.ceil(RANGE * width * abs(along[other]) / 16))
-    found = sgbm(*pair, count) / abs(along[other])
-    return found if along[other] > 0 else cv2.flip(found, 1)
+    if along[other] > 0:
+        return sgbm(scene.reference, moved, count) / along[other]
+    # the neighbour stands on the left, but SGBM wants the left image first
+    return cv2.flip(sgbm(cv2.flip(scene.reference, 1), cv2.flip(moved, 1), count), 1) / -along[other]
 
 
 def sgbm(left: np.ndarray, right: np.ndarray, count: int) -> np.ndarray:

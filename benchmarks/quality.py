@@ -1,6 +1,7 @@
 """How good the pictures are: every preset on every recording with truth, beside the baselines.
 
-    make bench-quality DATA=folder [PRESETS=paper,...] [MASKS=masks_exact,...] [WRITE=benchmarks/RESULTS.md [SECTION=quality]]
+    make bench-quality DATA=folder [PRESETS=paper,...] [MASKS=masks_exact,...]
+                       [WRITE=benchmarks/RESULTS.md [SECTION=quality]]
 
 The columns are those of `seepast evaluate` (src/seepast/evaluate.py says what each means).
 """
@@ -22,6 +23,7 @@ from baselines import BASELINES, Picture, Scene
 from common import machine, markdown_table, preset_names, replace_section
 from seepast.datasets import Dataset, find_datasets, open_dataset
 from seepast.demo import paint_coverage, paint_disparity
+from seepast.errors import SeepastError
 from seepast.evaluate import COLUMNS, MEAN, SHARES, Row, evaluate, read_truth
 from seepast.export.atomic import write_pfm, write_png
 from seepast.export.folder import CAMERA_FILE
@@ -55,7 +57,7 @@ def main() -> None:
         parts.append(report(kind, scores, arguments.presets))
         print(f"\n{parts[-1]}\n", flush=True)
         for preset, rows in scores.sheets.items():
-            print(f"contact sheet: {write_sheet(preset, kind, rows)}")
+            print(f"contact sheet: {write_sheet(f'{arguments.section}_{preset}_{kind}', rows)}")
     if arguments.write:
         command = f"make bench-quality DATA={arguments.data.resolve().name} PRESETS={','.join(arguments.presets)}"
         head = f"`{command} MASKS={','.join(kinds)}`\n\nOn {words}."
@@ -223,15 +225,18 @@ def _written(image: np.ndarray, text: str, at: tuple[int, int]) -> np.ndarray:
     return put(put(image, color=(0, 0, 0), thickness=3), color=(255, 255, 255), thickness=1)
 
 
-def write_sheet(preset: str, kind: str, rows: list[np.ndarray]) -> Path:
+def write_sheet(name: str, rows: list[np.ndarray]) -> Path:
     """One PNG of all scenes' rows under the names of the columns; returns its path."""
     head = np.zeros((18, rows[0].shape[1], 3), np.uint8)
     for i, title in enumerate(SHEET_COLUMNS):
         head = _written(head, title, (i * CELL_WIDTH + 4, 13))
-    path = SHEETS / f"quality_{preset}_{kind}.png"
+    path = SHEETS / f"{name}.png"
     write_png(path, np.vstack([head, *rows]))
     return path
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except SeepastError as error:
+        raise SystemExit(str(error)) from None

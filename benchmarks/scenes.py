@@ -78,18 +78,15 @@ def _seen(camera: Camera, size: tuple[int, int], texture: np.ndarray) -> tuple[n
     rays = camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)) @ camera.rotation
     image = np.zeros((height, width, 3), np.uint8)
     mask = np.zeros((height, width), np.uint8)
-    surfaces = [(WALL, 0.5, None), *((d, None, box) for d, *box in BOXES), *((d, x, None) for d, x in PEOPLE)]
-    for number, (d, x, box) in enumerate(surfaces):
+    surfaces = (WALL, *(d for d, *_ in BOXES), *(d for d, _ in PEOPLE))
+    for number, d in enumerate(surfaces):
         u, v = _on_plane(camera, rays, size, d)
-        person, contrast = box is None and number > 0, CONTRASTS[number % len(CONTRASTS)]
-        if box is not None:
-            inside = (abs(u / width - box[0]) < box[2]) & (abs(v / height - box[1]) < box[3])
-        else:
-            inside = _person(u / width - x, v / height) if person else np.ones(mask.shape, bool)
+        inside = _inside(number, u / width, v / height)
+        contrast = CONTRASTS[number % len(CONTRASTS)]
         at = np.float32(u + 97 * number), np.float32(v + 61 * number)
         painted = cv2.remap(texture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         image[inside] = cv2.addWeighted(painted, contrast, painted, 0, 128 * (1 - contrast))[inside]
-        mask[inside] = 255 * person
+        mask[inside] = 255 * (number > len(BOXES))
     return image, mask
 
 
@@ -101,6 +98,16 @@ def _on_plane(
     points = camera.center + rays * ((depth - camera.center[2]) / rays[..., 2])[..., None]
     scale = FOCAL * size[0] / depth
     return points[..., 0] * scale + (size[0] - 1) / 2, points[..., 1] * scale + (size[1] - 1) / 2
+
+
+def _inside(number: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """bool: which points of its plane the wall (number 0), a box or a person covers; parts of the image's size."""
+    if number == 0:
+        return np.ones(x.shape, bool)
+    if number <= len(BOXES):
+        _, *middle, half_width, half_height = BOXES[number - 1]
+        return (abs(x - middle[0]) < half_width) & (abs(y - middle[1]) < half_height)
+    return _person(x - PEOPLE[number - 1 - len(BOXES)][1], y)
 
 
 def _person(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -90,7 +90,7 @@ def stages(recording: scenes.Recording, arguments: argparse.Namespace) -> str:
     tasks["SGBM", "full"] = partial(sgbm, left, right, cv2.STEREO_SGBM_MODE_HH)
     medians = interleaved(tasks, arguments.rounds)
     names = list(dict.fromkeys(stage for found in medians.values() for stage in found if stage != TOTAL))
-    rows = [[stage, *(_cell(found.get(stage)) for found in medians.values())] for stage in (*names, TOTAL)]
+    rows = [[stage, *(_cell(found.get(stage) or None) for found in medians.values())] for stage in (*names, TOTAL)]
     head = f"### Milliseconds per frame, medians of {arguments.rounds} interleaved rounds"
     note = f"SGBM: one rectified grey pair of the same size, {_pair_range()} disparities, all threads of OpenCV."
     return "\n\n".join([head, markdown_table(["stage", *map(", ".join, medians)], rows), note])
