@@ -20,7 +20,7 @@ import pytest
 from recordings import write_recording
 from seepast import __version__, cli, sequence
 from seepast.errors import InputError
-from seepast.options import Options
+from seepast.options import DEFAULT_PRESET, Options
 from seepast.rectify import rectify
 from seepast.result import Result
 
@@ -92,7 +92,7 @@ def test_settings_reach_the_method(tmp_path: Path, fake: type[FakeReconstructor]
     options = ["--set", "disparity.beta=0.25", "--set", "range.max_disparity=77"]
     assert seepast("run", tmp_path / "rec", "--out", tmp_path / "out", *settings, *options) == 0
     (made,) = fake.made
-    expected = Options.preset("paper").updated({"disparity.beta": 0.25, "range.max_disparity": 77})
+    expected = Options.preset(DEFAULT_PRESET).updated({"disparity.beta": 0.25, "range.max_disparity": 77})
     assert made.settings["options"] == expected
     assert (made.settings["reference"], made.settings["dynamic_only"], made.settings["threads"]) == (
         2,

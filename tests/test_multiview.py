@@ -16,7 +16,7 @@ from seepast.frames import Frame
 from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
 from seepast.pipeline import Clock
 
-OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60})
+OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
 FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
 GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
@@ -238,6 +238,15 @@ def test_planes_straighten_slants():
     found = cpu.planes(d.astype(np.uint16), ~strip, strip, np.full((40, 60, 3), 90, np.uint8), np.ones((40, 60), bool))
     assert np.abs(found.astype(int) - truth)[strip].max() < np.abs(d - truth)[strip].max() / 2
     assert np.array_equal(found[~strip], d[~strip])
+
+
+def static_range(scene, static):
+    options = OPTIONS.updated({"people.enabled": False})
+    scale = multiview.coarseness(scene.geometry, options)
+    search = multiview.search_range(scene.geometry, options)
+    colour = multiview.three_channels(scene.colour)
+    seen = multiview.surfaces(colour, scene.geometry, search, scale, options.multiview, cpu)
+    return multiview.static_range(seen, scale, static, scene.geometry, options)
 
 
 def test_range_of_the_static_scene():

@@ -11,7 +11,7 @@ import numpy as np
 from .datasets import open_dataset
 from .datasets.png import read_png8
 from .export.atomic import write_png
-from .options import Options
+from .options import DEFAULT_PRESET, Options
 from .sequence import Settings, Summary, process
 
 SAMPLE = Path(__file__).parent / "demo_data"
@@ -42,7 +42,7 @@ def run_demo(out: str | Path, backend: str = "auto") -> Demo:
     """Reconstruct the sample into `out` and draw before and after beside each other."""
     out = Path(out)
     dataset = open_dataset(SAMPLE)
-    settings = Settings(Options.preset("paper"), backend=backend, overwrite=True)
+    settings = Settings(Options.preset(DEFAULT_PRESET), backend=backend, overwrite=True)
     summary = process(dataset, out / "sample", settings)
     stamp = dataset.stamps[0]
     frame = dataset.frame(stamp)

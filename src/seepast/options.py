@@ -105,7 +105,7 @@ class SegmentationOptions(StageOptions):
     beta: float = option(0.00015, "1 / grey level^2", 0, 10, "weight of the descriptor variance")
     floor: float = option(0.02, "", 1e-6, 0.5, "the prior is never surer than this, so evidence can overrule it")
     outlier_cost: float = option(0.0, "nats", 0, 100, "extra cost of calling a ray dynamic")
-    max_rounds: int = option(3, "rounds", 1, 20, "EM rounds at most; it stops when the labels stand still")
+    max_rounds: int = option(2, "rounds", 1, 20, "EM rounds at most; it stops when the labels stand still")
 
 
 @dataclass(frozen=True)
@@ -229,6 +229,7 @@ def _nearest(key: str, known: Mapping[str, Any]) -> str:
     return f"did you mean {' or '.join(close)}?" if close else f"options are {', '.join(known)}"
 
 
+DEFAULT_PRESET = "accurate"
 PRESETS: dict[str, Options] = {
     "paper": Options(),
     "accurate": Options(multiview=MultiviewOptions(enabled=True)),

@@ -18,7 +18,7 @@ from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
 from .frames import Frame, check_frame, rectified_frame
 from .geometry import ArrayGeometry
-from .options import Options
+from .options import DEFAULT_PRESET, Options
 from .rectify import rectify
 from .result import Result
 from .rig import Rig
@@ -59,12 +59,15 @@ def see_past(
         with clock("disparity"):  # M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d|T,x)
             if rounds:
                 redo = backend.affected(changed, geometry, prior, grid, wanted, options)
-            raw = np.where(redo, backend.disparity(features, static, geometry, prior, grid, redo, options), raw)
+            found = backend.disparity(features, static, geometry, prior, grid, redo, options)
+            raw = np.where(redo, found, raw) if rounds else found
             before, d = d, backend.smooth(raw, prior, wanted, options.disparity)
         with clock("segmentation"):  # E-step: argmin_S beta Var_S - sum_k log p(S^k|S_P^k)
             redo = wanted & (d != before)
             found = backend.segmentation(features, frame.dynamic, geometry, d, redo, options)
-            labels, posterior = np.where(redo, found[0], labels), np.where(redo, found[1], posterior)
+            if rounds:
+                found = np.where(redo, found[0], labels), np.where(redo, found[1], posterior)
+            labels, posterior = found
         with clock("masks"):  # labels of (reference pixel, camera) pairs -> each camera's own pixels
             dynamic, refined = backend.masks(labels, posterior, geometry, d, wanted, frame.dynamic, initial)
             changed, static = refined != static, refined
@@ -100,7 +103,7 @@ class Reconstructor:
     """Recovers the static scene frame by frame; keeps what frames share.
 
     rig           the calibrated array (2 .. 16 cameras)
-    options       Options, default Options.preset("paper")
+    options       Options, default Options.preset(DEFAULT_PRESET)
     reference     camera whose view is reconstructed, by number or name
     backend       "auto", "cpu" or "reference"
     dynamic_only  estimate only pixels that a person hides from the reference; faster. Disparity and depth are
@@ -121,7 +124,7 @@ class Reconstructor:
         threads: int = 0,
     ):
         self.rig = rig
-        self.options = options or Options.preset("paper")
+        self.options = options or Options.preset(DEFAULT_PRESET)
         self.reference = rig.index(reference)
         self.rectification = rectify(rig, self.reference)
         self.backend = backends.get(backend)

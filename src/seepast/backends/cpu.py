@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import cv2
@@ -121,7 +122,7 @@ def disparity(
     options: Options,
 ) -> np.ndarray:
     K, height, width = static.shape
-    phases = np.empty((K, 4, 3, height, width), np.int8)
+    phases = _scratch((K, 4, 3, height, width))
     _core.phase_planes(geometry.offsets, features.gradients, _bytes(static), phases)
     out = np.empty((height, width), np.float32)
     _core.disparity(
@@ -208,6 +209,16 @@ def refocus(
     if options.median:
         background = np.where(keep[..., None], background, median3(background))
     return background, coverage
+
+
+_buffers = threading.local()
+
+
+def _scratch(shape: tuple[int, ...]) -> np.ndarray:
+    """int8 memory that this thread used for the last frame too: fresh pages would cost more than the work in them."""
+    if getattr(_buffers, "phases", np.empty(0)).shape != shape:
+        _buffers.phases = np.empty(shape, np.int8)
+    return _buffers.phases
 
 
 def _bytes(mask: np.ndarray) -> np.ndarray:

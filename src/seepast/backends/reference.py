@@ -414,12 +414,11 @@ def plane_means(points: np.ndarray, triangles: np.ndarray, shape: tuple[int, int
 
 def fill_gaps(mean: np.ndarray) -> np.ndarray:
     """Pixels that no triangle covers (slivers at the hull) take the nearest covered pixel of their row, or column."""
-    for m in (mean, mean.T) if (mean == NO_PLANE).any() else ():
-        for line in m:
-            gaps = np.flatnonzero(line == NO_PLANE)
-            known = np.flatnonzero(line != NO_PLANE)
-            if len(gaps) and len(known):
-                line[gaps] = line[known[np.abs(known[None] - gaps[:, None]).argmin(1)]]
+    for m in (mean, mean.T):
+        for i in np.flatnonzero((m == NO_PLANE).any(1)):
+            gaps, known = np.flatnonzero(m[i] == NO_PLANE), np.flatnonzero(m[i] != NO_PLANE)
+            if len(known):
+                m[i, gaps] = m[i, known[np.abs(known[None] - gaps[:, None]).argmin(1)]]
     return mean
 
 
