@@ -72,7 +72,8 @@ void cell_candidates(const float* points, int count, int rows, int columns, cons
   for (int p = 0; p < count; ++p) {
     const int row = static_cast<int>(points[3 * p + 1]) / 16, column = static_cast<int>(points[3 * p]) / 32;
     const float d = points[3 * p + 2];
-    const int nearest = floor_int((8.0f * d - static_cast<float>(grid.first)) / static_cast<float>(grid.step));
+    const int nearest =
+        floor_int((8.0f * d - static_cast<float>(grid.first)) / static_cast<float>(grid.step));
     const int around = static_cast<int>(8.0f * radius / static_cast<float>(grid.step)) + 2;
     for (int i = std::max(0, nearest - around); i < std::min(grid.count, nearest + around + 1); ++i) {
       if (!(std::fabs(grid.value(i) - d) <= radius)) continue;
