@@ -62,14 +62,14 @@ NB_MODULE(_core, m) {
   m.def(
       "support_of_camera",
       [](In<float, 2> offsets, In<float, 2> back_offsets, float cx, float cy, float back_cx, float back_cy,
-         int base, int partner, In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, In<uint8_t, 2> blind,
+         int base, int partner, In<uint8_t, 4> descriptors, In<uint8_t, 3> is_static, In<uint8_t, 2> where,
          int reference, const Grid& grid, const SupportParams& params, Out<float, 2> points) {
         static_assert(sizeof(SupportPoint) == 4 * sizeof(float));
         const size_t height = is_static.shape(1), width = is_static.shape(2);
         const Array view = array_of(offsets, cx, cy, height, width);
         const Array back_view = array_of(back_offsets, back_cx, back_cy, height, width);
         return support_of_camera(view, back_view, base, partner, descriptors.data(), is_static.data(),
-                                 base == reference ? nullptr : blind.data(), reference, grid, params,
+                                 where.data(), reference, grid, params,
                                  reinterpret_cast<SupportPoint*>(points.data()));
       },
       free_lock);

@@ -45,11 +45,11 @@ struct SupportPoint {
   float x, y, d, variance;
 };
 // Matches of the grid points of camera `base` in `partner`; `view` is the array as seen from base,
-// `back_view` as seen from partner. Where `blind` is given (the pixels that `reference` does not see,
-// widened), points that land elsewhere in the reference may be left out. Writes at most one point per grid
-// position, returns how many.
+// `back_view` as seen from partner. Only points that land where `where` holds in `reference` are wanted (of
+// another camera the pixels that the reference does not see, widened); others may be left out. Writes at most
+// one point per grid position, returns how many.
 int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
-                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* blind,
+                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* where,
                       int reference, const Grid& grid, const SupportParams& params, SupportPoint* points);
 
 // Rasterises the triangles' planes: mean int32 [H, W] in eighths of a pixel, `gap` outside all of them.

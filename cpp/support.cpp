@@ -143,28 +143,26 @@ SupportPoint refine(const Array& array, const uint8_t* descriptors, const uint8_
   return {static_cast<float>(p.x), static_cast<float>(p.y), grid.value(best), lowest};
 }
 
-// Where the reference is blind: other cameras' points count only there, so that most need no matching at all.
-struct BlindSpots {
-  // blind: widened by kMargin, which covers what refinement and residual row offsets still move; null:
-  // everywhere.
-  BlindSpots(const Array& view, int reference, const Grid& grid, const uint8_t* blind)
+// Where points must land in the reference to be wanted: of other cameras where it is blind, so that most need
+// no matching at all.
+struct Targets {
+  // where: widened by kMargin, which covers what refinement and residual row offsets still move.
+  Targets(const Array& view, int reference, const Grid& grid, const uint8_t* where)
       : view(view),
-        blind(blind),
+        where(where),
         reference(reference),
         far_end(view.shift(reference, grid.value(0))),
         near_end(view.shift(reference, grid.value(grid.count - 1))) {
-    if (!blind) return;
     sums.assign(static_cast<size_t>(view.height) * (view.width + 1), 0);
     for (int y = 0; y < view.height; ++y) {
       int* row = sums.data() + static_cast<size_t>(y) * (view.width + 1);
       for (int x = 0; x < view.width; ++x)
-        row[x + 1] = row[x] + blind[static_cast<size_t>(y) * view.width + x];
+        row[x + 1] = row[x] + where[static_cast<size_t>(y) * view.width + x];
     }
   }
 
-  // False only if no disparity of the grid takes the point to where the reference is blind.
+  // False only if no disparity of the grid takes the point to a target.
   bool reachable(Point p) const {
-    if (!blind) return true;
     const int x0 = p.x + whole_offset(ray_dx(far_end, p.x, view.cx)), y0 = row(far_end, p);
     const int x1 = p.x + whole_offset(ray_dx(near_end, p.x, view.cx)), y1 = row(near_end, p);
     if (std::abs(y1 - y0) > kMargin - 2) return true;  // too crooked an array to say from one row
@@ -173,21 +171,21 @@ struct BlindSpots {
     return sum[clamp(std::max(x0, x1) + 1, 0, view.width)] > sum[clamp(std::min(x0, x1), 0, view.width)];
   }
 
-  // False only if refining d cannot take the point to where the reference is blind.
+  // False only if refining d cannot take the point to a target.
   bool reached(Point p, float d, float moves) const {
-    if (!blind || moves > kMargin - 2) return true;
+    if (moves > kMargin - 2) return true;
     const RayShift shift = view.shift(reference, d);
     const int x = p.x + whole_offset(ray_dx(shift, p.x, view.cx)), y = row(shift, p);
     return x < -kMargin || x >= view.width + kMargin || y < -kMargin || y >= view.height + kMargin
                ? false
-               : blind[static_cast<size_t>(clamp(y, 0, view.height - 1)) * view.width +
+               : where[static_cast<size_t>(clamp(y, 0, view.height - 1)) * view.width +
                        clamp(x, 0, view.width - 1)];
   }
 
   int row(const RayShift& shift, Point p) const { return p.y + whole_offset(ray_dy(shift, p.y, view.cy)); }
 
   const Array& view;
-  const uint8_t* blind;
+  const uint8_t* where;
   int reference;
   RayShift far_end, near_end;
   std::vector<int> sums;
@@ -202,9 +200,9 @@ int texture(const uint8_t* descriptor) {
 }  // namespace
 
 int support_of_camera(const Array& view, const Array& back_view, int base, int partner,
-                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* blind,
+                      const uint8_t* descriptors, const uint8_t* is_static, const uint8_t* where,
                       int reference, const Grid& grid, const SupportParams& params, SupportPoint* points) {
-  const BlindSpots spots(view, reference, grid, blind);
+  const Targets targets(view, reference, grid, where);
   const Matcher forth(view, base, partner, descriptors, is_static, grid, params);
   const Matcher back(back_view, partner, base, descriptors, is_static, grid, params);
   const uint8_t* base_static = is_static + base * view.pixels();
@@ -219,12 +217,12 @@ int support_of_camera(const Array& view, const Array& back_view, int base, int p
       for (int i = 0; i < columns; ++i) {
         const Point p{i * params.grid, j * params.grid};
         if (!within_margin(p.x, p.y, view.width, view.height) || !base_static[forth.at(p)]) continue;
-        if (!spots.reachable(p)) continue;
+        if (!targets.reachable(p)) continue;
         if (texture(forth.from + forth.at(p) * kSamples) < params.texture) continue;
         const int there = forth.best(p, scratch);
         if (there < 0) continue;
         const float moves = kRefineReach * std::fabs(view.offsets[kOffsets * reference]) / forth.parallax;
-        if (!spots.reached(p, forth.disparities[there], moves)) continue;
+        if (!targets.reached(p, forth.disparities[there], moves)) continue;
         const Point q = forth.land(p, there);
         const int again = back.best(q, scratch);
         if (again < 0 || std::abs(back.land(q, again).x - p.x) > params.left_right) continue;

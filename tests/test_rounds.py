@@ -58,3 +58,25 @@ def test_affected_pixels_agree_with_the_reference(seed):
     np.testing.assert_array_equal(found, reference.affected(changed, geometry, prior, grid, wanted, options))
     assert 0 < found.sum() < wanted.sum()
     assert not cpu.affected(np.zeros_like(changed), geometry, prior, grid, wanted, options).any()
+
+
+def test_support_near_what_is_wanted_is_the_whole_support_cut_to_it():
+    height, width = 47, 261
+    _, geometry = noisy_frame(1, width=width)
+    texture = np.random.default_rng(1).integers(0, 255, (height, width + 80), np.uint8)
+    grey = np.stack([texture[:, 40 + round(20 * a) :][:, :width] for a in geometry.offsets[:, 0]])
+    options = Options.preset("paper").updated({"range.max_disparity": 40, "support.min_agreeing": 0})
+    wanted = np.zeros((height, width), bool)
+    wanted[20:24, 40:44] = True
+    near, static = cpu.neighbourhood(wanted), np.ones(grey.shape, bool)
+    assert near[:, : 44 + 64].all() and not near[:, 44 + 64 :].any()
+    grid = pipeline.DisparityGrid.of(options.range, width)
+    found = [
+        backend.support(backend.describe(grey), static, geometry, grid, options.support, near)
+        for backend in (cpu, reference)
+    ]
+    np.testing.assert_array_equal(*found)
+    whole = cpu.support(cpu.describe(grey), static, geometry, grid, options.support)
+    cut = near[whole[:, 1].astype(int), whole[:, 0].astype(int)]
+    assert 0 < cut.sum() < len(whole)
+    np.testing.assert_array_equal(found[0], whole[cut])

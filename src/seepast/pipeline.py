@@ -42,16 +42,18 @@ def see_past(
     # S^k of every camera's own pixels, at first by thresholding the static prior S_P = 1 - P(dynamic)
     initial = static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
 
+    # What is estimated: every reference pixel, or those that it does not see itself
+    wanted = ~static[geometry.reference] if dynamic_only else np.ones(static.shape[1:], bool)
+
     with clock("describe"):  # f(x): 3x3 Sobel responses, sampled 16 times around the pixel
         features = backend.describe(frame.grey)
     with clock("support"):  # sparse sure matches on static pixels, of all cameras, in the reference view
-        points = backend.support(features, static, geometry, grid, options.support)
+        near = backend.neighbourhood(wanted) if dynamic_only else None
+        points = backend.support(features, static, geometry, grid, options.support, near)
     with clock("prior"):  # p(d|T,x) ~ gamma + exp(-(d - mu)^2 / 2 sigma^2), mu on the Delaunay planes
         prior = backend.prior(points, static.shape[1:], grid, options.prior)
 
-    # What is estimated: every reference pixel, or those that it does not see itself. EM until the labels stand still;
-    # after the first round only what changed is done again, which gives the same as doing all.
-    wanted = ~static[geometry.reference] if dynamic_only else np.ones(static.shape[1:], bool)
+    # EM until the labels stand still; after the first round only what changed is done again, which gives the same.
     redo, changed, rounds, still = wanted, np.zeros_like(static), 0, False
     raw, d = np.zeros(wanted.shape, np.float32), np.full(wanted.shape, -1, np.float32)
     labels, posterior = np.zeros(wanted.shape, np.uint16), np.full_like(frame.dynamic, UNCHANGED)
@@ -106,8 +108,9 @@ class Reconstructor:
     options       Options, default Options.preset(DEFAULT_PRESET)
     reference     camera whose view is reconstructed, by number or name
     backend       "auto", "cpu" or "reference"
-    dynamic_only  estimate only pixels that a person hides from the reference; faster. Disparity and depth are
-                  then 0 (unknown) and coverage 1 (the reference's own ray) everywhere else
+    dynamic_only  estimate only pixels that a person hides from the reference. Disparity and depth are then 0
+                  (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster with preset "paper",
+                  whose prior then rests on the support points around those pixels
     threads       of the cpu backend; 0 = all cores. The result does not depend on it
 
     Raises RigError, OptionsError, BackendError. Calling it: see `__call__`.

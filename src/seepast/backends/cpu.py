@@ -27,6 +27,7 @@ from .reference import (
     median3,
     merged,
     neighbour_camera,
+    neighbourhood,
     smooth,
 )
 
@@ -35,6 +36,7 @@ __all__ = [
     "describe",
     "disparity",
     "masks",
+    "neighbourhood",
     "prior",
     "refocus",
     "segmentation",
@@ -66,20 +68,22 @@ def support(
     geometry: ArrayGeometry,
     grid: DisparityGrid,
     options: SupportOptions,
+    near: np.ndarray | None = None,
 ) -> np.ndarray:
-    clear, reference = clear_of_people(static), geometry.reference
+    clear, reference, found = clear_of_people(static), geometry.reference, []
     blind = cv2.dilate(_bytes(~static[reference]), np.ones((2 * SUPPORT_MARGIN + 1,) * 2, np.uint8))
-    found = [
-        into_reference(static, geometry, base, _match_camera(features, clear, blind, geometry, base, grid, options))
-        for base in range(geometry.cameras)
-    ]
+    own = np.ones_like(blind) if near is None else _bytes(near)
+    for base in range(geometry.cameras):
+        where = own if base == reference else blind
+        points = _match_camera(features, clear, where, geometry, base, grid, options)
+        found.append(into_reference(static, geometry, base, points))
     return consistent(merged(np.concatenate(found), static.shape[1:], options), options)
 
 
 def _match_camera(
     features: Features,
     clear: np.ndarray,
-    blind: np.ndarray,
+    where: np.ndarray,
     geometry: ArrayGeometry,
     base: int,
     grid: DisparityGrid,
@@ -94,7 +98,7 @@ def _match_camera(
     points = np.empty((tried, 4), np.float32)
     count = _core.support_of_camera(
         view.offsets, back.offsets, *view.center, *back.center, base, partner,
-        features.descriptors, _bytes(clear), blind, geometry.reference, _grid(grid), params, points,
+        features.descriptors, _bytes(clear), where, geometry.reference, _grid(grid), params, points,
     )  # fmt: skip
     return points[:count]
 

@@ -179,17 +179,20 @@ def support(
     geometry: ArrayGeometry,
     grid: DisparityGrid,
     options: SupportOptions,
+    near: np.ndarray | None = None,
 ) -> np.ndarray:
     """Sparse sure matches on static pixels, in the reference view: float32 [N, 3] (x, y, d), whole-pixel x, y.
 
     Every camera is matched with its neighbour in the array; what the reference does not see itself is
-    reprojected into it. Duplicates merge, inconsistent points go.
+    reprojected into it. Duplicates merge, inconsistent points go. near bool [H, W]: the reference's own points are
+    wanted only there.
     """
-    clear = clear_of_people(static)
-    found = [
-        into_reference(static, geometry, base, match_camera(features, clear, geometry, base, grid, options))
-        for base in range(geometry.cameras)
-    ]
+    clear, found = clear_of_people(static), []
+    for base in range(geometry.cameras):
+        points = into_reference(static, geometry, base, match_camera(features, clear, geometry, base, grid, options))
+        if near is not None and base == geometry.reference:
+            points = points[near[points[:, 1].astype(int), points[:, 0].astype(int)]]
+        found.append(points)
     return consistent(merged(np.concatenate(found), static.shape[1:], options), options)
 
 
@@ -199,6 +202,15 @@ def match_camera(gradients, clear, geometry, base, grid, options) -> np.ndarray:
     x, y, d = match_grid(gradients, clear, view, partner, grid, options)
     d, variance = refine(gradients, clear, view, grid, partner, x, y, d)
     return np.stack([x, y, d, variance], axis=1).astype(np.float32)
+
+
+NEAR = 64  # px: support points farther from a pixel than this hardly bear on its prior
+
+
+def neighbourhood(wanted: np.ndarray) -> np.ndarray:
+    """bool [H, W]: pixels within NEAR rows and columns of a wanted one."""
+    sums = cv2.boxFilter(wanted.view(np.uint8), cv2.CV_32F, (2 * NEAR + 1,) * 2, normalize=False)
+    return sums > 0.5
 
 
 BLOCK_REACH = 4  # the four descriptors of a support point reach 2 + 2 px
