@@ -29,7 +29,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast check recording                       are files and calibration fit?
   seepast run recording --out out               the static scene of every frame
   seepast run recordings --out out --masks net  a folder of them, other masks
-  seepast run recording --out out --reference cam2 --set disparity.beta=0.01
+  seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
   seepast refocus recording --out out --depth 5 plain synthetic aperture
   seepast synth made --rig rig.yaml --frames 10 --seed 1
