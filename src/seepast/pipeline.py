@@ -23,7 +23,7 @@ from .rectify import rectify
 from .result import Result
 from .rig import Rig
 
-STAGES = ("rectify", "describe", "support", "prior", "disparity", "segmentation", "refocus", "masks")
+STAGES = ("rectify", "describe", "support", "prior", "disparity", "segmentation", "masks", "refocus")  # of see_past
 
 
 def see_past(
@@ -92,7 +92,7 @@ class Clock:
     """Milliseconds per stage, added up over the rounds."""
 
     def __init__(self) -> None:
-        self.milliseconds: dict[str, float] = dict.fromkeys(STAGES, 0.0)
+        self.milliseconds: dict[str, float] = {}
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
