@@ -13,8 +13,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -22,6 +20,7 @@ import numpy as np
 
 from .errors import InputError, RigError
 from .geometry import ArrayGeometry
+from .matching import neighbour_matches
 from .rig import Camera, Rig
 
 log = logging.getLogger("seepast")
@@ -393,53 +392,13 @@ def _bilinear(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 MIN_MATCHES = 20
-_MAX_ROW_SEARCH = 20.0  # px: beyond this a match is a wrong one, not a misalignment
 
 
 def measured_row_error(images: Sequence[np.ndarray], geometry: ArrayGeometry) -> float:
     """Median |dy| in px between matches of neighbouring rectified images and the row W_k predicts for them.
 
-    images: K uint8 [H, W] or [H, W, 3] rectified views. SIFT matches, refined by Lucas-Kanade, give (x, y) in
-    a camera and (x', y') in the next along the line; the disparity follows from x', and W_k then predicts y'.
-    The measurement's own noise is some hundredths of a pixel. NaN if fewer than MIN_MATCHES matches are found
-    (untextured or dark images).
+    images: K uint8 [H, W] or [H, W, 3] rectified views; see matching.neighbour_matches. The measurement's own noise
+    is some hundredths of a pixel. NaN if fewer than MIN_MATCHES matches are found (untextured or dark images).
     """
-    order = np.argsort(geometry.positions[:, 0])
-    residuals = [
-        _row_residuals(_grey(images[a]), _grey(images[b]), geometry.seen_from(a), b) for a, b in pairwise(order)
-    ]
-    merged = np.concatenate(residuals)
-    return float(np.median(abs(merged))) if len(merged) >= MIN_MATCHES else float("nan")
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-
-
-def _row_residuals(first: np.ndarray, second: np.ndarray, geometry: ArrayGeometry, camera: int) -> np.ndarray:
-    """y' measured - y' predicted by W_camera for the matches from the reference's image to `camera`'s."""
-    start, guess = _sift_matches(first, second)
-    if not len(start):
-        return np.empty(0, np.float32)
-    options: dict[str, Any] = {"winSize": (15, 15), "maxLevel": 0, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    end, found, _ = cv2.calcOpticalFlowPyrLK(first, second, start, guess.copy(), **options)
-    kept = (found.ravel() > 0) & (np.linalg.norm(end - guess, axis=-1) < 2)
-    (x, y), (x2, y2) = start[kept].T, end[kept].T
-    ax, _, az, sx, _ = geometry.offsets[camera]
-    x2 = x2 - sx
-    disparity = (x - x2) / (ax - az * (x2 - np.float32(geometry.center[0])))
-    _, predicted = geometry.warp(camera, x, y, disparity)
-    return (y2 - predicted)[(disparity > -1) & (abs(y2 - predicted) < _MAX_ROW_SEARCH)]
-
-
-def _sift_matches(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """float32[N, 2] pixels of mutual, distinctive matches."""
-    detector: Any = cv2.SIFT.create(nfeatures=2000)
-    (keys1, descriptors1), (keys2, descriptors2) = (detector.detectAndCompute(image, None) for image in (first, second))
-    if descriptors1 is None or descriptors2 is None or len(keys2) < 2:
-        return np.empty((0, 2), np.float32), np.empty((0, 2), np.float32)
-    best = [m for m, *n in cv2.BFMatcher().knnMatch(descriptors1, descriptors2, 2) if m.distance < 0.75 * n[0].distance]
-    back = {m.queryIdx: m.trainIdx for m in cv2.BFMatcher().match(descriptors2, descriptors1)}
-    mutual = [m for m in best if back.get(m.trainIdx) == m.queryIdx]
-    start = np.array([keys1[m.queryIdx].pt for m in mutual], np.float32).reshape(-1, 2)
-    return start, np.array([keys2[m.trainIdx].pt for m in mutual], np.float32).reshape(-1, 2)
+    errors = np.concatenate([matches.row_error for matches in neighbour_matches(images, geometry)])
+    return float(np.median(abs(errors))) if len(errors) >= MIN_MATCHES else float("nan")
