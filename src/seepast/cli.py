@@ -7,13 +7,15 @@ import json
 import logging
 import signal
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
+from .commands.console import count as _count
+from .commands.console import progress as _progress
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -362,25 +364,6 @@ def _summary_line(summary: Summary) -> str:
     share = summary.coverage_share
     covered = "coverage unknown" if share is None else f"coverage {100 * share:.1f} %"
     return f"{summary.name}: {frames}, {speed}, {covered}, {summary.out}"
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-@contextlib.contextmanager
-def _progress(name: str, total: int) -> Iterator[Any]:
-    """A progress bar on stderr, nothing where that is no terminal; yields the function that advances it."""
-    if not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(name, total=total)
-        yield lambda: progress.advance(task)
 
 
 class _StderrHandler(logging.Handler):
