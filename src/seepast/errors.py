@@ -29,6 +29,10 @@ class BackendError(SeepastError, RuntimeError):
     """A backend that is unknown or cannot run on this machine."""
 
 
+class ModelError(SeepastError, RuntimeError):
+    """A segmentation network that cannot be found, fetched, read, understood or run."""
+
+
 class MissingExtraError(SeepastError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 
