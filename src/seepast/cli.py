@@ -22,7 +22,6 @@ from .options import DEFAULT_PRESET
 if TYPE_CHECKING:
     from .sequence import Summary
 
-GOOD_ROWS_PX = 0.5
 EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
 
 USAGE = """Usage: seepast COMMAND, for example
@@ -137,35 +136,7 @@ def run(
     return EXIT_ERROR if failed else 0
 
 
-@app.command
-def check(dataset: Path, /, *, masks: Masks = None, reference: str = "cam0") -> int:
-    """Read every file of a recording, and hold its calibration against its images.
-
-    Parameters
-    ----------
-    dataset
-        Folder with rig.yaml, cam0/ cam1/ ... and masks/.
-    reference
-        The camera whose view would be reconstructed.
-    """
-    from .check import check
-    from .datasets import open_dataset
-
-    recording = open_dataset(dataset, masks=masks)
-    with _progress(recording.name, len(recording.stamps)) as advance:
-        report = check(recording, reference, on_frame=advance)
-    geometry, cameras = report.geometry, len(recording.rig.cameras)
-    share = report.dynamic_share
-    print(
-        f"{recording.name}: {cameras} cameras, {_count(report.frames, 'frame')}, "
-        + ("no masks" if share is None else f"{100 * share:.1f} % dynamic")
-    )
-    print(
-        f"view: {geometry.size[0]}x{geometry.size[1]}, f {geometry.focal[0]:.1f} px, baseline "
-        f"{geometry.baseline:.3f} m: 5 m away is {geometry.focal_baseline / 5:.1f} px of disparity"
-    )
-    print(f"rows: {report.row_error_px:.2f} px off in {recording.stamps[0]}; good below {GOOD_ROWS_PX}")
-    return 0
+app.command("seepast.commands.check:check")
 
 
 @app.command

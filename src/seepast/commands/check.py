@@ -1,0 +1,70 @@
+"""seepast check: is a recording fit, and what would mend it?"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from .console import progress
+
+
+def check(
+    dataset: Path,
+    /,
+    *,
+    masks: Annotated[str | None, Parameter(show_default=False)] = None,
+    reference: str = "cam0",
+    depths: Annotated[tuple[float, float], Parameter(negative=())] = (1.0, 20.0),
+    background: Annotated[float | None, Parameter(show_default=False)] = None,
+    html: Annotated[Path | None, Parameter(show_default=False)] = None,
+    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+) -> int:
+    """Read every file of a recording, measure what decides success, and say what would mend it.
+
+    For example
+
+      seepast check recording
+      seepast check recording --depths 1.5 12 --html report.html
+      seepast check recording --background 4 --json
+
+    Exit code 0 whatever the verdicts, 2 where a run would be impossible (a file that is missing or damaged, a
+    calibration that cannot be used), told in one line on stderr.
+
+    Parameters
+    ----------
+    dataset
+        Folder with rig.yaml, cam0/ cam1/ ... and masks/.
+    masks
+        Folder of masks in the dataset (default: masks); 'none': no masks.
+    reference
+        The camera whose view would be reconstructed.
+    depths
+        NEAR FAR metres: the surfaces that matter to you.
+    background
+        Metres to what people stand before; measured from the images if not given.
+    html
+        Also write the report, with pictures, to this one file.
+    json_
+        Print JSON instead of the table.
+    """
+    from ..check import check as check_dataset
+    from ..datasets import open_dataset
+
+    recording = open_dataset(dataset, masks=masks)
+    with progress(recording.name, len(recording.stamps)) as advance:
+        report = check_dataset(recording, reference, depths=depths, background=background, on_frame=advance)
+    if json_:
+        print(json.dumps(report.as_dict()))
+    else:
+        from ..checks.screen import show
+
+        show(report)
+    if html is not None:
+        from ..checks.page import page
+        from ..export.atomic import write_bytes
+
+        write_bytes(html, page(report).encode())
+    return 0
