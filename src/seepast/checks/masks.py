@@ -195,6 +195,9 @@ def hidden(dynamic: np.ndarray, geometry: ArrayGeometry, points: np.ndarray, oth
     points     float32[N, 3], static_points: the background's disparity at a pixel is the median of the
                NEIGHBOURS nearest ones
     otherwise  the disparity that stands for it where points are fewer
+
+    An estimate: what else may hide the background is not known here. Over the 12 scenes of the README's table, exact
+    masks, it is off by 6 % of the hidden pixels in the mean.
     """
     step = max(1, geometry.size[0] // (2 * GRID))
     y, x = np.nonzero(_is_dynamic(dynamic[geometry.reference, ::step, ::step]))
