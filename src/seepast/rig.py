@@ -164,7 +164,7 @@ class Rig:
         the mend.
         """
         try:
-            entries = _camera_entries(_load_yaml(Path(path)))
+            entries = _camera_entries(load_yaml(Path(path)))
             cam_from_rig = np.eye(4)
             cameras = []
             for n, entry in enumerate(entries):
@@ -268,7 +268,8 @@ class _UniqueKeysLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _load_yaml(path: Path) -> dict[str, Any]:
+def load_yaml(path: Path) -> dict[str, Any]:
+    """The mapping in a calibration file; also OpenCV's dialect of YAML. Raises RigError that does not name the file."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
