@@ -6,7 +6,7 @@ import hashlib
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from .options import Options
 from .pipeline import Reconstructor
 from .rectify import rectify
 from .rig import Rig
+from .segment import SegmentedDataset
 
 log = logging.getLogger("seepast")
 
@@ -80,7 +81,8 @@ def process(
                 frame = dataset.frame(stamp)
                 start = time.perf_counter()
                 result = reconstructor(frame.images, frame.masks)
-                writer.write(stamp, result, 1e3 * (time.perf_counter() - start))
+                total = 1e3 * (time.perf_counter() - start) + sum(frame.timings.values())
+                writer.write(stamp, replace(result, timings={**frame.timings, **result.timings}), total)
                 computed += 1
                 if not result.coverage.any():
                     blind.append(stamp)
@@ -112,6 +114,7 @@ def describe_run(dataset: Dataset, settings: Settings) -> Run:
         backend=backends.get(settings.backend).__name__.rpartition(".")[2],
         dynamic_only=settings.dynamic_only,
         options=settings.options.flat(),
+        segmenter=dataset.segmenter.describe() if isinstance(dataset, SegmentedDataset) else None,
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -21,11 +21,13 @@ class Frame:
     stamp   the name shared by the K files of this instant
     images  K uint8 arrays, [h, w] grey or [h, w, 3] BGR, in camera order of the rig
     masks   K uint8 [h, w] of 255 * P(dynamic), or None where nothing is dynamic
+    timings milliseconds of what had to be computed for it, such as its masks ("segment"); reading does not count
     """
 
     stamp: str
     images: tuple[np.ndarray, ...]
     masks: tuple[np.ndarray, ...] | None
+    timings: Mapping[str, float] = field(default_factory=dict)
 
 
 class Dataset(Protocol):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from ..errors import OutputError
+from ..errors import OutputError, SeepastError
 
 PART_SUFFIX = ".part"
 
@@ -51,7 +53,49 @@ def write_pfm(path: Path, values: np.ndarray) -> None:
     write_bytes(path, header + np.ascontiguousarray(values[::-1], dtype="<f4").tobytes())
 
 
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a hidden path of the same name to write a file or a folder to, which takes the place of `path` at the end.
+
+    If anything goes wrong in between, `path` stays as it was. Raises OutputError.
+    """
+    stage = path.with_name(f".{path.name}{PART_SUFFIX}")
+    try:
+        _remove(stage)
+        stage.mkdir(parents=True)
+        yield stage / path.name
+        _take_place(stage / path.name, path, stage / ".before")
+    except SeepastError:
+        raise
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error}); check permissions and free space, then try again"
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            _remove(stage)
+
+
+def _take_place(new: Path, path: Path, before: Path) -> None:
+    if not path.is_dir():
+        os.replace(new, path)
+        return
+    os.replace(path, before)  # a folder that is not empty cannot be replaced in one step
+    try:
+        os.replace(new, path)
+    except OSError:
+        os.replace(before, path)
+        raise
+
+
 def remove_parts(folder: Path) -> None:
-    """Remove what a killed run left half-written below `folder`."""
-    for part in folder.rglob(f".*{PART_SUFFIX}"):
-        part.unlink(missing_ok=True)
+    """Remove what a killed run or export left half-written below `folder`."""
+    for part in list(folder.rglob(f".*{PART_SUFFIX}")):
+        _remove(part)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

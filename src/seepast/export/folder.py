@@ -41,6 +41,7 @@ class Run:
     rig           digest of the calibration
     dynamic_only  only pixels that a person hides are synthesised
     options       flat, "stage.field" -> value
+    segmenter     what made the masks, as it describes itself (with the SHA-256 of its model); None: files
     """
 
     seepast: str
@@ -51,6 +52,7 @@ class Run:
     backend: str
     dynamic_only: bool
     options: Mapping[str, Any]
+    segmenter: Mapping[str, Any] | None = None
 
 
 class FolderWriter:
@@ -236,9 +238,10 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
     """In words, what two runs do not agree in."""
 
     def flat(run: Mapping[str, Any]) -> dict[str, Any]:
-        settings = {key: run.get(key) for key in now if key not in ("options", "seepast")}
+        settings = {key: run.get(key) for key in now if key not in ("options", "seepast", "segmenter")}
         version = run.get("seepast", run.get("versions", {}).get("seepast"))
-        return {"seepast": version, **settings, **(run.get("options") or {})}
+        segmenter = {f"segmenter.{key}": value for key, value in (run.get("segmenter") or {}).items()}
+        return {"seepast": version, **settings, **segmenter, **(run.get("options") or {})}
 
     old, new = flat(before), flat(now)
     keys = [key for key in dict.fromkeys([*new, *old]) if old.get(key) != new.get(key)]

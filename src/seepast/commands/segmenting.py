@@ -1,0 +1,46 @@
+"""What the commands that take --segmenter and --classes share."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from ..errors import OptionsError
+
+if TYPE_CHECKING:
+    from ..segment import Segmenter
+
+SegmenterName = Annotated[
+    str | None,
+    Parameter(
+        name="--segmenter",
+        show_default=False,
+        help="What makes the masks, in place of files: onnx:MODEL.onnx, onnx:MODEL.onnx:PRESET, onnx:NAME of a model "
+        "that `seepast models get` fetched, or MODULE:FACTORY of your own.",
+    ),
+]
+Classes = Annotated[
+    str | None,
+    Parameter(
+        name="--classes",
+        show_default=False,
+        help="What may move, for the segmenter: names or numbers, separated by commas (default: person).",
+    ),
+]
+
+
+def opened_segmenter(spec: str | None, classes: str | None, masks: str | None) -> Segmenter | None:
+    """The segmenter that the options of a command name; None: masks come from files. Raises SeepastError."""
+    if spec is None:
+        if classes is not None:
+            raise OptionsError("--classes: chooses what a segmenter looks for; add --segmenter, or leave it out")
+        return None
+    if masks is not None:
+        raise OptionsError("--masks and --segmenter: masks come from files or from a segmenter; leave one of them out")
+    from ..segment import open_segmenter
+
+    words = None if classes is None else [word.strip() for word in classes.split(",") if word.strip()]
+    if words == []:
+        raise OptionsError("--classes: names nothing; write it as --classes person,car")
+    return open_segmenter(spec, words)
