@@ -16,6 +16,7 @@ from cyclopts import App, CycloptsError, Parameter
 from . import __version__
 from .commands.console import count as _count
 from .commands.console import progress as _progress
+from .commands.export import export
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -33,6 +34,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
   seepast refocus recording --out out --depth 5 plain synthetic aperture
+  seepast export out --to tum                   for SLAM; also bags, PLY, EXR
   seepast synth made --rig rig.yaml --frames 10 --seed 1
 """
 HELP = "\n\n".join(
@@ -137,6 +139,7 @@ def run(
 
 
 app.command("seepast.commands.check:check")
+app.command(export)
 
 
 @app.command
