@@ -16,6 +16,7 @@ from cyclopts import App, CycloptsError, Parameter
 from . import __version__
 from .commands.console import count as _count
 from .commands.console import progress as _progress
+from .commands.segmenting import Classes, SegmenterName, opened_segmenter
 from .commands.export import export
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
@@ -31,6 +32,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast check recording                       are files and calibration fit?
   seepast run recording --out out               the static scene of every frame
   seepast run recordings --out out --masks net  a folder of them, other masks
+  seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
   seepast refocus recording --out out --depth 5 plain synthetic aperture
@@ -77,6 +79,8 @@ def run(
     *,
     out: Path,
     masks: Masks = None,
+    segmenter: SegmenterName = None,
+    classes: Classes = None,
     preset: str = DEFAULT_PRESET,
     reference: str = "cam0",
     backend: Backend = "auto",
@@ -114,18 +118,22 @@ def run(
     json_
         Print one line of JSON per recording instead of text.
     """
-    from .datasets import find_datasets, open_dataset
+    from .datasets import NO_MASKS, find_datasets, open_dataset
     from .options import Options
+    from .segment import SegmentedDataset
     from .sequence import Settings, process
 
     options = Options.preset(preset).updated(_assignments(set_ or []))
     settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
+    network = opened_segmenter(segmenter, classes, masks)
     paths = find_datasets(dataset)
     failed = 0
     for path in paths:
         target = out if paths == [dataset] else out / path.name
         try:
-            recording = open_dataset(path, masks=masks)
+            recording = open_dataset(path, masks=NO_MASKS if network else masks)
+            if network:
+                recording = SegmentedDataset(recording, network)
             with _progress(recording.name, len(recording.stamps)) as advance:
                 summary = process(recording, target, settings, on_frame=advance)
         except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
@@ -139,6 +147,7 @@ def run(
 
 
 app.command("seepast.commands.check:check")
+app.command("seepast.commands.models:models")
 app.command(export)
 
 

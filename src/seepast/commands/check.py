@@ -9,6 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from .console import progress
+from .segmenting import Classes, SegmenterName, opened_segmenter
 
 
 def check(
@@ -16,6 +17,8 @@ def check(
     /,
     *,
     masks: Annotated[str | None, Parameter(show_default=False)] = None,
+    segmenter: SegmenterName = None,
+    classes: Classes = None,
     reference: str = "cam0",
     depths: Annotated[tuple[float, float], Parameter(negative=())] = (1.0, 20.0),
     background: Annotated[float | None, Parameter(show_default=False)] = None,
@@ -51,9 +54,13 @@ def check(
         Print JSON instead of the table.
     """
     from ..check import check as check_dataset
-    from ..datasets import open_dataset
+    from ..datasets import NO_MASKS, open_dataset
+    from ..segment import SegmentedDataset
 
-    recording = open_dataset(dataset, masks=masks)
+    network = opened_segmenter(segmenter, classes, masks)
+    recording = open_dataset(dataset, masks=NO_MASKS if network else masks)
+    if network:
+        recording = SegmentedDataset(recording, network)
     with progress(recording.name, len(recording.stamps)) as advance:
         report = check_dataset(recording, reference, depths=depths, background=background, on_frame=advance)
     if json_:
