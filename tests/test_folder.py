@@ -94,7 +94,7 @@ def test_a_folder_of_recordings(tmp_path: Path) -> None:
             find_datasets(nothing)
         with pytest.raises(DatasetError, match=nothing.name):
             open_dataset(nothing)
-    assert set(READERS) == {"folder"}
+    assert next(iter(READERS)) == "folder", "the reader that is asked last"
 
 
 def test_a_broken_calibration_is_a_rig_error(recording: Path) -> None:

@@ -26,18 +26,25 @@ def read_png8(path: Path) -> np.ndarray:
         data = path.read_bytes()
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error}); restore the file") from None
+    return decode_png8(path, data)
+
+
+def decode_png8(path: Path | str, data: bytes, *, drop_alpha: bool = False) -> np.ndarray:
+    """`read_png8` of bytes that are in memory already; `path` names them in errors."""
     bit_depth = _bit_depth_of_whole_file(path, data)
     if bit_depth > 8:
         raise DatasetError(f"{path}: {bit_depth} bits per channel; convert it to 8 bits (scaled, not cut off) first")
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint8:
         raise DatasetError(f"{path}: cannot be decoded as an 8-bit PNG; copy or export it again")
+    if drop_alpha and image.ndim == 3 and image.shape[2] == 4:
+        image = np.ascontiguousarray(image[..., :3])
     if image.ndim == 3 and image.shape[2] not in (1, 3):
         raise DatasetError(f"{path}: has an alpha channel; save it as plain grey or BGR without transparency")
     return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
 
 
-def _bit_depth_of_whole_file(path: Path, data: bytes) -> int:
+def _bit_depth_of_whole_file(path: Path | str, data: bytes) -> int:
     """Bits per channel of a PNG whose critical chunks are all there and undamaged."""
     if not data.startswith(_SIGNATURE):
         what = "the file is empty" if not data else "not a PNG file"

@@ -12,6 +12,36 @@ import numpy as np
 from ..rig import Rig
 
 NO_MASKS = "none"  # the masks argument that says: nothing in these images is dynamic
+DEFAULT_TOLERANCE = 0.005  # seconds
+
+
+@dataclass(frozen=True)
+class OpenOptions:
+    """How a recording is to be opened; None = the reader's own choice.
+
+    masks      folder of masks, relative to the recording or absolute; "none" = no masks; in ROS bags also
+               "topics:" and topics as below
+    rig        Kalibr camchain file; None = the recording's own
+    topics     image topics of a ROS bag in the order of the rig's cameras, separated by commas; or one with {}
+               for the camera's name. None = the rostopic of each camera in the rig
+    tolerance  seconds that the images of one instant may be apart in time; None = DEFAULT_TOLERANCE
+    """
+
+    masks: str | None = None
+    rig: Path | None = None
+    topics: str | None = None
+    tolerance: float | None = None
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Images of a recording that belong to no frame, and why."""
+
+    images: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.images} image{'s' if self.images > 1 else ''}: {self.reason}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +66,9 @@ class Dataset(Protocol):
     name    for people; path   where it lies; masks   where its masks lie, None where nothing is dynamic
     rig     its cameras, in the order of the images
     stamps  names of its frames in time order
+
+    Readers that put images of separately stamped cameras together also have `dropped`, a tuple of Dropped, and
+    `times`, int64[N, K] nanoseconds of each frame's images (None where the recording has no clock).
     """
 
     name: str
