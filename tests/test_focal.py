@@ -7,7 +7,7 @@ import pytest
 
 from arrays import FAR, NEAR, Scene, make_scene, slanted
 from seepast.errors import InputError
-from seepast.focal import DYNAMIC, refocus_at
+from seepast.focal import DYNAMIC, Aperture, refocus_at
 from seepast.rectify import NO_RAY
 
 
@@ -120,3 +120,45 @@ def test_wrong_views_are_refused():
         refocus_at(list(scene.views[:2]), scene.geometry, FAR)
     with pytest.raises(InputError, match="rectified views"):
         refocus_at([*scene.views[:2], scene.views[2, :, :-1]], scene.geometry, FAR)
+
+
+def test_an_aperture_uses_only_its_cameras():
+    scene = make_scene(masks="exact")
+    views = list(scene.views)
+    alone = refocus_at(views, scene.geometry, FAR, aperture=Aperture((scene.geometry.reference,)))
+    assert np.array_equal(alone, scene.views[scene.geometry.reference])
+    spoilt = [view if k in (0, 3) else np.zeros_like(view) for k, view in enumerate(views)]
+    pair = Aperture((0, 3))
+    assert np.array_equal(
+        refocus_at(views, scene.geometry, FAR, aperture=pair), refocus_at(spoilt, scene.geometry, FAR, aperture=pair)
+    )
+    with pytest.raises(InputError, match="aperture"):
+        refocus_at(views, scene.geometry, FAR, aperture=Aperture((5,)))
+
+
+@pytest.mark.parametrize("colour", [False, True], ids=["grey", "colour"])
+def test_the_median_is_that_of_the_rays_that_count(colour):
+    """Views of one grey level each, so that every ray's colour is known."""
+    levels = [10, 200, 30, 100, 50]
+    scene = empty(colour=colour)
+    views = [np.full_like(view, level) for view, level in zip(scene.views, levels, strict=True)]
+    median = Aperture(blend="median")
+    picture = refocus_at(views, scene.geometry, 0.0, aperture=median)
+    assert (picture == 50).all() and picture.shape == views[0].shape
+    dynamic = np.zeros((5, *views[0].shape[:2]), np.uint8)
+    dynamic[1, :20], dynamic[:, 20:30] = 254, NO_RAY
+    picture = refocus_at(views, scene.geometry, 0.0, dynamic, median)
+    assert (picture[:20] == 40).all() and (picture[20:30] == 0).all() and (picture[30:] == 50).all()
+
+
+def test_the_median_drops_a_person_that_the_mean_keeps():
+    scene = make_scene(masks="none", cameras=9)
+    d = float(scene.disparity[0, 0])
+    where = np.zeros(scene.disparity.shape, bool)
+    where[INNER] = scene.person[0][INNER] & (scene.seen_by()[INNER] >= 6)
+    assert where.sum() > 50
+    mean, median = (
+        error(refocus_at(list(scene.views), scene.geometry, d, aperture=Aperture(blend=blend)), scene.background, where)
+        for blend in ("mean", "median")
+    )
+    assert median < 0.6 * mean

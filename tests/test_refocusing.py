@@ -10,6 +10,8 @@ import pytest
 
 from recordings import save, write_recording
 from seepast import cli
+from seepast.errors import OutputError
+from seepast.export.video import write_video
 
 FAR = 4  # px: the wall of write_recording moves 2 px from camera to camera, 4 over three of them
 DEPTH = "2.4"  # metres: f * B / d = 48 px * 0.2 m / 4 px
@@ -64,3 +66,84 @@ def test_what_is_there_is_kept_without_overwrite(recording: Path, capsys: pytest
     out = str(recording.parent / "out")
     assert cli.main(["refocus", str(recording), "--out", out, "--disparity", "4"]) == 2
     assert "--overwrite" in capsys.readouterr().err
+
+
+# -------------------------------------------------------------------------------------------- sweeps, videos
+
+
+def sharpness(picture: np.ndarray) -> float:
+    return float(cv2.Laplacian(picture[:, FAR:-FAR], cv2.CV_64F).std())
+
+
+def run(recording: Path, *settings: str) -> int:
+    return cli.main(["refocus", str(recording), *settings])
+
+
+def test_a_sweep_is_sharpest_at_the_wall(recording: Path) -> None:
+    out = recording.parent / "sweep"
+    assert run(recording, "--out", str(out), "--sweep", "1.2", "9.6", "8") == 0
+    pictures = [cv2.imread(str(path)) for path in sorted((out / "000000").glob("*.png"))]
+    assert len(pictures) == 8  # at 8, 7 ... 1 px: the fifth is at 4
+    assert int(np.argmax([sharpness(np.asarray(p)) for p in pictures])) == 4
+    wall, _ = refocused(recording, "--disparity", str(FAR))
+    assert np.array_equal(np.asarray(pictures[4])[:, FAR:], wall)
+
+
+@pytest.mark.parametrize("ending", [".mp4", ".avi", ".mkv"])
+def test_a_sweep_as_a_video(recording: Path, ending: str) -> None:
+    video = recording.parent / f"sweep{ending}"
+    assert run(recording, "--sweep", "1.2", "9.6", "8", "--video", str(video), "--fps", "5") == 0
+    assert [p.name for p in recording.parent.iterdir() if p.name.startswith(".")] == []
+    reader, pictures = cv2.VideoCapture(str(video)), []
+    assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(5)
+    while (read := reader.read())[0]:
+        pictures.append(read[1])
+    assert len(pictures) == 8 and pictures[0].shape == (36, 48, 3)
+    assert int(np.argmax([sharpness(p) for p in pictures])) == 4
+    before = video.read_bytes()
+    assert run(recording, "--sweep", "1", "9", "3", "--video", str(video)) == 2, "is there already"
+    assert video.read_bytes() == before
+
+
+def test_a_video_that_fails_leaves_nothing_and_spoils_nothing(tmp_path: Path) -> None:
+    video = tmp_path / "made.mp4"
+    video.write_bytes(b"before")
+
+    def failing():
+        yield np.zeros((36, 48), np.uint8)
+        raise OutputError("disk full")
+
+    with pytest.raises(OutputError, match="disk full"):
+        write_video(video, failing(), 10)
+    assert video.read_bytes() == b"before" and list(tmp_path.iterdir()) == [video]
+
+
+def test_cameras_and_median(recording: Path) -> None:
+    alone, wall = refocused(recording, "--disparity", "12", "--cameras", "cam0")
+    assert (alone == wall).mean() > 0.9 and (alone != wall).any(), "the person stands in cam0"
+    median, _ = refocused(recording, "--disparity", str(FAR), "--aperture", "median")
+    assert abs(median - wall).max() <= 1, "two of three cameras see the wall"
+    masked, _ = refocused(recording, "--disparity", str(FAR), "--aperture", "masked-mean")
+    assert abs(masked - wall).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (("--disparity", "4"), "--out"),
+        (("--out", "o"), "--sweep"),
+        (("--out", "o", "--depth", "2", "--sweep", "1", "2", "3"), "either"),
+        (("--out", "o", "--sweep", "0", "2", "3"), "above 0"),
+        (("--out", "o", "--sweep", "1", "2", "1"), "planes"),
+        (("--out", "o", "--depth", "2", "--cameras", "cam0,cam9"), "cam9"),
+        (("--out", "o", "--depth", "2", "--frame", "x"), "--frame"),
+        (("--video", "o.gif", "--depth", "2"), ".mp4"),
+        (("--video", "o.mp4", "--depth", "2", "--fps", "0"), "--fps"),
+    ],
+)
+def test_what_cannot_be_done_is_told(
+    recording: Path, settings: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str], monkeypatch
+) -> None:
+    monkeypatch.chdir(recording.parent)
+    assert run(recording, *settings) == 2
+    assert says in capsys.readouterr().err and not (recording.parent / "o").exists()

@@ -16,8 +16,8 @@ from cyclopts import App, CycloptsError, Parameter
 from . import __version__
 from .commands.console import count as _count
 from .commands.console import progress as _progress
-from .commands.segmenting import Classes, SegmenterName, opened_segmenter
 from .commands.export import export
+from .commands.segmenting import Classes, SegmenterName, opened_segmenter
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -147,58 +147,9 @@ def run(
 
 
 app.command("seepast.commands.check:check")
+app.command("seepast.commands.refocus:refocus")
 app.command("seepast.commands.models:models")
 app.command(export)
-
-
-@app.command
-def refocus(
-    dataset: Path,
-    /,
-    *,
-    out: Path,
-    depth: float | None = None,
-    disparity: float | None = None,
-    masked: Flag = False,
-    masks: Masks = None,
-    reference: str = "cam0",
-    overwrite: Flag = False,
-) -> int:
-    """Plain synthetic aperture refocusing on one plane: the average of all cameras, the baseline people know.
-
-    Parameters
-    ----------
-    dataset
-        Folder with rig.yaml and cam0/ cam1/ ...
-    out
-        Output folder: <stamp>.png in the rectified reference view.
-    depth
-        Depth of the plane in metres; or give --disparity.
-    disparity
-        The same in px over the full array (reference to farthest camera).
-    masked
-        Average only rays that the masks call static.
-    reference
-        The camera whose view is synthesised.
-    overwrite
-        Replace images that are there.
-    """
-    from .datasets import NO_MASKS, open_dataset
-    from .refocusing import refocus_sequence
-
-    recording = open_dataset(dataset, masks=masks if masked else NO_MASKS)
-    with _progress(recording.name, len(recording.stamps)) as advance:
-        plane = refocus_sequence(
-            recording,
-            out,
-            depth=depth,
-            disparity=disparity,
-            reference=reference,
-            overwrite=overwrite,
-            on_frame=advance,
-        )
-    print(f"{recording.name}: {_count(len(recording.stamps), 'frame')} refocused at {plane:.2f} px, {out}")
-    return 0
 
 
 @app.command
