@@ -18,6 +18,7 @@ from .commands.console import count as _count
 from .commands.console import progress as _progress
 from .commands.export import export
 from .commands.segmenting import Classes, SegmenterName, opened_segmenter
+from .commands.source import GUESSED, Source
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -89,6 +90,7 @@ def run(
     threads: int = 0,
     overwrite: Flag = False,
     json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    source: Source = GUESSED,
 ) -> int:
     """Reconstruct the static scene of every frame of a recording.
 
@@ -97,7 +99,8 @@ def run(
     Parameters
     ----------
     dataset
-        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or a folder of such: each goes to OUT/<its name>.
+        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or a ROS bag, an EuRoC folder, videos cam0.mp4 ..., a
+        Middlebury folder; or a folder of such: each goes to OUT/<its name>.
     out
         Output folder: background/ disparity/ depth/ coverage/ masks/ camera.yaml run.json.
     preset
@@ -118,7 +121,7 @@ def run(
     json_
         Print one line of JSON per recording instead of text.
     """
-    from .datasets import NO_MASKS, find_datasets, open_dataset
+    from .datasets import NO_MASKS
     from .options import Options
     from .segment import SegmentedDataset
     from .sequence import Settings, process
@@ -126,12 +129,12 @@ def run(
     options = Options.preset(preset).updated(_assignments(set_ or []))
     settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
     network = opened_segmenter(segmenter, classes, masks)
-    paths = find_datasets(dataset)
+    paths = source.find(dataset)
     failed = 0
     for path in paths:
-        target = out if paths == [dataset] else out / path.name
+        target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
         try:
-            recording = open_dataset(path, masks=NO_MASKS if network else masks)
+            recording = source.open(path, NO_MASKS if network else masks)
             if network:
                 recording = SegmentedDataset(recording, network)
             with _progress(recording.name, len(recording.stamps)) as advance:

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 
 from .console import progress
 from .segmenting import Classes, SegmenterName, opened_segmenter
+from .source import GUESSED, Source
 
 
 def check(
@@ -24,6 +25,7 @@ def check(
     background: Annotated[float | None, Parameter(show_default=False)] = None,
     html: Annotated[Path | None, Parameter(show_default=False)] = None,
     json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    source: Source = GUESSED,
 ) -> int:
     """Read every file of a recording, measure what decides success, and say what would mend it.
 
@@ -39,7 +41,7 @@ def check(
     Parameters
     ----------
     dataset
-        Folder with rig.yaml, cam0/ cam1/ ... and masks/.
+        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or another recording that `run` reads.
     masks
         Folder of masks in the dataset (default: masks); 'none': no masks.
     reference
@@ -54,11 +56,11 @@ def check(
         Print JSON instead of the table.
     """
     from ..check import check as check_dataset
-    from ..datasets import NO_MASKS, open_dataset
+    from ..datasets import NO_MASKS
     from ..segment import SegmentedDataset
 
     network = opened_segmenter(segmenter, classes, masks)
-    recording = open_dataset(dataset, masks=NO_MASKS if network else masks)
+    recording = source.open(dataset, NO_MASKS if network else masks)
     if network:
         recording = SegmentedDataset(recording, network)
     with progress(recording.name, len(recording.stamps)) as advance:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from .console import count, progress
+from .source import GUESSED, Source
 
 Optional = Parameter(negative=(), show_default=False)
 
@@ -29,6 +30,7 @@ def refocus(
     masks: Annotated[str | None, Optional] = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
+    source: Source = GUESSED,
 ) -> int:
     """Plain synthetic aperture refocusing, the baseline people know: all cameras' rays through one plane.
 
@@ -41,7 +43,7 @@ def refocus(
     Parameters
     ----------
     dataset
-        Folder with rig.yaml and cam0/ cam1/ ...
+        Folder with rig.yaml and cam0/ cam1/ ...; or another recording that `run` reads.
     out
         Output folder: <stamp>.png in the rectified reference view; in a sweep <stamp>/000.png, 001.png ...
     depth
@@ -70,12 +72,12 @@ def refocus(
     overwrite
         Replace what is there.
     """
-    from ..datasets import NO_MASKS, open_dataset
+    from ..datasets import NO_MASKS
     from ..focal import Aperture
     from ..refocusing import picture_count, refocus_sequence
 
     masked = masked or aperture == "masked-mean"
-    recording = open_dataset(dataset, masks=masks if masked else NO_MASKS)
+    recording = source.open(dataset, masks if masked else NO_MASKS)
     named = [recording.rig.index(name.strip()) for name in cameras.split(",")] if cameras else None
     chosen = None if named is None else tuple(dict.fromkeys(named))
     pictures = picture_count(recording, sweep, frame, video is not None)
