@@ -14,8 +14,9 @@ import seepast
 from arrays import FAR, NEAR, SPACING, Scene, all_label_energies, make_scene, painted, texture
 from seepast.backends import reference as reference_backend
 from seepast.errors import BackendError, InputError, OptionsError, RigError, SeepastError
+from seepast.frames import to_bytes
 from seepast.options import Options
-from seepast.pipeline import STAGES, Reconstructor, reconstruct, to_bytes
+from seepast.pipeline import STAGES, Reconstructor, reconstruct
 from seepast.rectify import NO_RAY, rectify
 from seepast.rig import Camera, Rig
 

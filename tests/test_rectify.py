@@ -11,7 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from seepast.errors import InputError, RigError
+from seepast import pixel_maps
+from seepast.errors import InputError, OptionsError, RigError
+from seepast.frames import input_masks, rectified_frame
+from seepast.options import Options
 from seepast.rectify import MAX_DYNAMIC, NO_RAY, measured_row_error, rectify
 from seepast.rig import Camera, Rig
 
@@ -388,3 +391,88 @@ def test_measured_rows_agree_with_the_calibration_and_betray_a_wrong_one():
 def test_measured_rows_of_a_blank_image_are_unknown():
     rig = Rig.linear(2, focal=100.0, spacing=0.1, size=(64, 48))
     assert np.isnan(measured_row_error([np.zeros((48, 64), np.uint8)] * 2, rectify(rig).geometry))
+
+
+def every_pixel(mapped, size: tuple[int, int]) -> np.ndarray:
+    """What `dense` promises to be close to: float64[2, H, W]."""
+    x, y = np.meshgrid(np.arange(size[0], dtype=np.float64), np.arange(size[1], dtype=np.float64))
+    return np.moveaxis(mapped(np.stack([x, y], axis=-1)), -1, 0)
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_maps_through_a_few_hundred_points_are_the_maps_of_every_pixel(k):
+    """Each kind of lens, into the camera and back, by the polynomial and not by the way out of it."""
+    own, rotation = crooked_rig(4).cameras[k], turn(0.02, -0.03, 0.01)
+
+    def through(pixels: np.ndarray) -> np.ndarray:
+        plane = (pixels - [119.5, 89.5]) / 280
+        return own.project(np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1) @ rotation)
+
+    def back(pixels: np.ndarray) -> np.ndarray:
+        rays = own.unproject(pixels) @ rotation.T
+        return rays[..., :2] / rays[..., 2:] * 280 + [119.5, 89.5]
+
+    for mapped in (through, back):
+        made = pixel_maps._interpolated(mapped, (240, 180))
+        assert made is not None
+        np.testing.assert_allclose(made, every_pixel(mapped, (240, 180)), atol=1e-5)
+        np.testing.assert_array_equal(pixel_maps.dense(mapped, (240, 180)), made)
+
+
+def test_maps_that_no_polynomial_follows_are_made_pixel_by_pixel():
+    def kinked(pixels: np.ndarray) -> np.ndarray:
+        return abs(pixels - [77.7, 55.5])
+
+    def ends(pixels: np.ndarray) -> np.ndarray:
+        return np.where(np.linalg.norm(pixels - [100, 90], axis=-1, keepdims=True) < 120, pixels + 0.25, np.nan)
+
+    def spiked(pixels: np.ndarray) -> np.ndarray:  # between the nodes only the checked places can see it
+        return pixels + 0.01 * np.sin(pixels * np.pi / 2)
+
+    for mapped in (kinked, ends, spiked):
+        np.testing.assert_array_equal(pixel_maps.dense(mapped, (240, 180)), every_pixel(mapped, (240, 180)))
+
+
+def textured(rig: Rig, seed: int = 3) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """An image and a mask of noise for every camera."""
+    rng = np.random.default_rng(seed)
+    sizes = [camera.resolution[::-1] for camera in rig.cameras]
+    images = [cv2.GaussianBlur(rng.integers(0, 256, (*size, 3), np.uint8), (0, 0), 1.5) for size in sizes]
+    return images, [rng.integers(0, 256, size, np.uint8) for size in sizes]
+
+
+def test_a_frame_is_the_same_for_any_number_of_threads():
+    rig = crooked_rig(5)
+    rectification, (images, masks) = rectify(rig, 1), textured(rig)
+    frames = [rectified_frame(rectification, images, masks, threads=threads) for threads in (1, 2, 5, 0)]
+    for frame in frames:
+        for k in range(5):
+            view = rectification.image(k, images[k])
+            np.testing.assert_array_equal(frame.colour[k], view)
+            np.testing.assert_array_equal(frame.grey[k], cv2.cvtColor(view, cv2.COLOR_BGR2GRAY))
+            np.testing.assert_array_equal(frame.dynamic[k], rectification.dynamic(k, masks[k]))
+    back = [input_masks(rectification, frames[0].dynamic, masks, threads) for threads in (1, 2, 5, 0)]
+    for found in back[1:]:
+        np.testing.assert_array_equal(found, back[0])
+
+
+def test_the_interpolation_is_an_option_and_linear_is_not_cubic():
+    rig = crooked_rig(3)
+    rectification, (images, masks) = rectify(rig), textured(rig)
+    cubic, linear = (rectified_frame(rectification, images, masks, kind) for kind in ("cubic", "linear"))
+    for k in range(3):
+        np.testing.assert_array_equal(linear.colour[k], rectification.image(k, images[k], "linear"))
+    assert (cubic.colour != linear.colour).any()
+    np.testing.assert_array_equal(cubic.dynamic, linear.dynamic)
+    assert Options().rectify.interpolation == "cubic"
+    assert Options().updated({"rectify.interpolation": "linear"}).rectify.interpolation == "linear"
+    with pytest.raises(OptionsError, match=r"rectify\.interpolation: 'lanczos' is none of cubic, linear"):
+        Options().updated({"rectify.interpolation": "lanczos"})
+
+
+def test_a_failing_view_is_told_from_whatever_thread():
+    rig = crooked_rig(4)
+    rectification, (images, masks) = rectify(rig), textured(rig)
+    images[3] = images[3][:-1]
+    with pytest.raises(InputError, match="image of cam3 is 240x179"):
+        rectified_frame(rectification, images, masks, threads=3)

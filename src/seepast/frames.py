@@ -11,6 +11,7 @@ import numpy as np
 from .errors import InputError
 from .rectify import Rectification
 from .rig import Rig
+from .threads import on_threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +79,43 @@ def _size(what: str, name: str, array: np.ndarray, resolution: tuple[int, int]) 
         )
 
 
-def rectified_frame(rectification: Rectification, images: list[np.ndarray], masks: list[np.ndarray]) -> Frame:
-    """Stage "rectify": all cameras' images and masks in the common orientation and intrinsics."""
-    width, height = rectification.geometry.size
-    colour = np.empty((len(images), height, width, *images[0].shape[2:]), np.uint8)
-    for k, image in enumerate(images):
-        if rectification.image(k, image, out=colour[k]) is image:  # it passes through
-            colour[k] = image
-    dynamic = np.stack([rectification.dynamic(k, mask) for k, mask in enumerate(masks)])
-    if colour.ndim == 3:
-        return Frame(colour[..., None], colour, dynamic)
-    grey = np.empty(colour.shape[:3], np.uint8)
-    for k in range(len(images)):
-        cv2.cvtColor(colour[k], cv2.COLOR_BGR2GRAY, dst=grey[k])
-    return Frame(colour, grey, dynamic)
+def rectified_frame(
+    rectification: Rectification,
+    images: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
+    interpolation: str = "cubic",
+    threads: int = 0,
+) -> Frame:
+    """Stage "rectify": all cameras' images and masks in the common orientation and intrinsics.
+
+    interpolation as of `Rectification.image`; threads 0 = all cores, and the result does not depend on it.
+    """
+    K, (width, height), channels = len(images), rectification.geometry.size, images[0].shape[2:]
+    colour = np.empty((K, height, width, *channels), np.uint8)
+    grey = np.empty((K, height, width), np.uint8) if channels else colour
+    dynamic = np.empty((K, height, width), np.uint8)
+
+    def view(k: int) -> None:
+        if rectification.image(k, images[k], interpolation, out=colour[k]) is images[k]:  # it passes through
+            colour[k] = images[k]
+        if channels:
+            cv2.cvtColor(colour[k], cv2.COLOR_BGR2GRAY, dst=grey[k])
+        rectification.dynamic(k, masks[k], out=dynamic[k])
+
+    on_threads(view, K, threads)
+    return Frame(colour if channels else colour[..., None], grey, dynamic)
+
+
+def input_masks(
+    rectification: Rectification, dynamic: np.ndarray, masks: Sequence[np.ndarray], threads: int = 0
+) -> tuple[np.ndarray, ...]:
+    """Refined P(dynamic) of the rectified views, uint8 [K, H, W] in 254ths, as K masks uint8 [h, w] of 255 * P in the
+    cameras' own pixels; `masks` are what came in."""
+    return tuple(
+        on_threads(lambda k: rectification.masks_to_input(k, to_bytes(dynamic[k]), masks[k]), len(masks), threads)
+    )
+
+
+def to_bytes(dynamic: np.ndarray) -> np.ndarray:
+    """254ths of P(dynamic) -> 255ths; pixels without a ray (255) count as dynamic."""
+    return dynamic + (dynamic >= 128) - (dynamic == 255)

@@ -21,6 +21,11 @@ def option(default: Any, unit: str, low: float | None, high: float | None, doc: 
     return field(default=default, metadata={"unit": unit, "low": low, "high": high, "doc": doc})
 
 
+def choice(default: str, choices: tuple[str, ...], doc: str) -> Any:
+    """The same for one of several words."""
+    return field(default=default, metadata={"unit": "", "low": None, "high": None, "choices": choices, "doc": doc})
+
+
 @dataclass(frozen=True)
 class StageOptions:
     """Base of the per-stage options: checks every field's type and range on construction."""
@@ -38,6 +43,10 @@ def _checked(owner: str, f: dataclasses.Field, value: Any) -> Any:
             value = value.lower() in ("true", "1", "yes", "on")
         if not isinstance(value, bool):
             raise OptionsError(f"option {name}: {value!r} is neither true nor false")
+        return value
+    if kind is str:
+        if value not in f.metadata["choices"]:
+            raise OptionsError(f"option {name}: {value!r} is none of {', '.join(f.metadata['choices'])}")
         return value
     try:
         number = kind(value)
@@ -60,6 +69,13 @@ class RangeOptions(StageOptions):
     min_disparity: float = option(0.0, "px", 0, 4096, "farthest surface searched for")
     max_disparity: float = option(0.0, "px", 0, 4096, "nearest surface searched for; 0 = 0.45 x the image width")
     step: float = option(0.5, "px", 0.125, 4, "spacing of the candidate disparities")
+
+
+@dataclass(frozen=True)
+class RectifyOptions(StageOptions):
+    """How images become rectified views (stage "rectify"); masks are always sampled linearly."""
+
+    interpolation: str = choice("cubic", ("cubic", "linear"), "linear is five times as fast, and blurs a little")
 
 
 @dataclass(frozen=True)
@@ -193,6 +209,7 @@ class Options:
     """All stages' options. Immutable; `updated` returns a changed copy."""
 
     range: RangeOptions = RangeOptions()
+    rectify: RectifyOptions = RectifyOptions()
     support: SupportOptions = SupportOptions()
     prior: PriorOptions = PriorOptions()
     disparity: DisparityOptions = DisparityOptions()

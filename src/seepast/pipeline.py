@@ -7,16 +7,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
 
 from . import backends, multiview
+from .ahead import ahead
 from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
-from .frames import Frame, check_frame, rectified_frame
+from .frames import Frame, check_frame, input_masks, rectified_frame
 from .geometry import ArrayGeometry
 from .options import DEFAULT_PRESET, Options
 from .rectify import rectify
@@ -101,6 +103,20 @@ class Clock:
         self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
 
 
+Images = Sequence[np.ndarray]  # of one instant: see Reconstructor.__call__
+Masks = Sequence[np.ndarray] | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """One instant, checked and rectified; masks as they came in, uint8."""
+
+    frame: Frame
+    masks: list[np.ndarray]
+    in_colour: bool
+    clock: Clock
+
+
 class Reconstructor:
     """Recovers the static scene frame by frame; keeps what frames share.
 
@@ -140,24 +156,47 @@ class Reconstructor:
 
         masks None: nothing is dynamic. Raises InputError.
         """
+        return self._reconstructed(self._prepared(images, masks))
+
+    def stream(self, frames: Iterable[tuple[Images, Masks]]) -> Generator[Result, None, None]:
+        """Results of many instants, in order and the same as one by one, but faster.
+
+        frames yields (images, masks) as `__call__` takes them. While one frame is reconstructed, by whoever asks
+        for its result, the next is being rectified and the one after it fetched from `frames`, each in a thread.
+        What `frames` or the checks raise is raised when the result of that frame is asked for. At most five frames
+        are held beforehand. Closing the generator, or letting go of it, ends the threads, and closes `frames` if
+        that is a generator too.
+        """
+        with closing(ahead(self._prepared_all(frames))) as prepared:
+            for one in prepared:
+                yield self._reconstructed(one)
+
+    def _prepared_all(self, frames: Iterable[tuple[Images, Masks]]) -> Generator[_Prepared, None, None]:
+        with closing(ahead(frames)) as fetched:
+            for images, masks in fetched:
+                yield self._prepared(images, masks)
+
+    def _prepared(self, images: Images, masks: Masks) -> _Prepared:
         clock = Clock()
-        backends.set_threads(self.backend, self.threads)
-        images, masks = check_frame(self.rig, images, masks)
+        checked, priors = check_frame(self.rig, images, masks)
         with clock("rectify"):
-            frame = rectified_frame(self.rectification, images, masks)
-        geometry = self.rectification.geometry
+            frame = rectified_frame(
+                self.rectification, checked, priors, self.options.rectify.interpolation, self.threads
+            )
+        return _Prepared(frame, priors, checked[0].ndim == 3, clock)
+
+    def _reconstructed(self, prepared: _Prepared) -> Result:
+        clock, geometry = prepared.clock, self.rectification.geometry
+        backends.set_threads(self.backend, self.threads)
         method, stages = see_past, self.backend
         if self.options.multiview.enabled:
             method, stages = multiview.see_past, backends.multiview(self.backend)
-        found, rounds = method(frame, geometry, self.options, stages, self.dynamic_only, clock)
+        found, rounds = method(prepared.frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
-            refined = tuple(
-                self.rectification.masks_to_input(k, to_bytes(found["dynamic"][k]), masks[k])
-                for k in range(geometry.cameras)
-            )
+            refined = input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
         background = found["background"]
         return Result(
-            background=background if images[0].ndim == 3 else background[..., 0],
+            background=background if prepared.in_colour else background[..., 0],
             disparity=found["disparity"],
             depth=geometry.depth(found["disparity"]),
             coverage=found["coverage"],
@@ -169,11 +208,6 @@ class Reconstructor:
             options=self.options,
             backend=self.backend.__name__.rpartition(".")[2],
         )
-
-
-def to_bytes(dynamic: np.ndarray) -> np.ndarray:
-    """254ths of P(dynamic) -> 255ths; pixels without a ray (255) count as dynamic."""
-    return dynamic + (dynamic >= 128) - (dynamic == 255)
 
 
 def reconstruct(
@@ -189,3 +223,20 @@ def reconstruct(
     """See past the people in one instant of a camera array. Arguments and errors: `Reconstructor`."""
     run = Reconstructor(rig, options=options, reference=reference, backend=backend, dynamic_only=dynamic_only)
     return run(images, masks)
+
+
+def stream(
+    frames: Iterable[tuple[Images, Masks]],
+    rig: Rig,
+    *,
+    options: Options | None = None,
+    reference: int | str = 0,
+    backend: str = "auto",
+    dynamic_only: bool = False,
+    threads: int = 0,
+) -> Generator[Result, None, None]:
+    """See past the people in many instants of a camera array; `frames` and results as of `Reconstructor.stream`."""
+    run = Reconstructor(
+        rig, options=options, reference=reference, backend=backend, dynamic_only=dynamic_only, threads=threads
+    )
+    return run.stream(frames)

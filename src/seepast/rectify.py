@@ -13,6 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -21,7 +22,9 @@ import numpy as np
 from .errors import InputError, RigError
 from .geometry import ArrayGeometry
 from .matching import neighbour_matches
+from .pixel_maps import dense, fixed_point, inside
 from .rig import Camera, Rig
+from .threads import on_threads
 
 log = logging.getLogger("seepast")
 
@@ -44,9 +47,6 @@ class Rectification:
     """How the images of one rig become rectified views, for one reference camera. Made by `rectify`.
 
     geometry            the rectified array: common intrinsics, size and camera centres
-    maps                per camera (map_x, map_y), float32[H, W]: the source pixel of every rectified pixel,
-                        as cv2.remap takes it, NaN where there is none; or None: the camera's image already is
-                        the rectified view and passes through untouched
     rotation_from_cam   per camera float64[3, 3] rectified_from_cam: exactly the identity where it is one
     row_error_px        px, predicted from the calibration: the largest distance between where the rectified
                         images and W_k say a scene point is, and where the rig itself projects it. W_k carries
@@ -57,13 +57,26 @@ class Rectification:
     """
 
     geometry: ArrayGeometry
-    maps: tuple[tuple[np.ndarray, np.ndarray] | None, ...]
     rotation_from_cam: tuple[np.ndarray, ...]
     row_error_px: float
     cameras: tuple[Camera, ...]
     _fixed: tuple[tuple[np.ndarray, np.ndarray] | None, ...] = field(repr=False)
     _no_ray: tuple[np.ndarray | None, ...] = field(repr=False)
     _to_input: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(repr=False, default_factory=dict)
+
+    @cached_property
+    def maps(self) -> tuple[tuple[np.ndarray, np.ndarray] | None, ...]:
+        """Per camera (map_x, map_y), float32[H, W]: the source pixel of every rectified pixel, NaN where there is
+        none; or None: the camera's image already is the rectified view and passes through untouched.
+
+        For users: seepast itself keeps the smaller fixed-point form.
+        """
+        return tuple(
+            None if fixed is None else _masked_map(camera, _source(self.geometry, k, camera, rotation))
+            for k, (camera, rotation, fixed) in enumerate(
+                zip(self.cameras, self.rotation_from_cam, self._fixed, strict=True)
+            )
+        )
 
     def image(
         self, camera: int, image: np.ndarray, interpolation: str = "cubic", out: np.ndarray | None = None
@@ -82,21 +95,23 @@ class Rectification:
             return image
         return cv2.remap(image, *fixed, _INTERPOLATION[interpolation], dst=out, borderMode=cv2.BORDER_REPLICATE)
 
-    def dynamic(self, camera: int, mask: np.ndarray | None) -> np.ndarray:
+    def dynamic(self, camera: int, mask: np.ndarray | None, out: np.ndarray | None = None) -> np.ndarray:
         """uint8 [h, w] 255 * P(dynamic), or None for "nothing moves" -> uint8 [H, W], rectified.
 
         0..254 are 254ths of P(dynamic) (255 comes out as 254); NO_RAY = 255 where there is no source pixel.
+        `out`, if given, is written and returned. InputError for a size that is not the calibrated one.
         """
         width, height = self.geometry.size
-        if mask is None:
-            dynamic = np.zeros((height, width), np.uint8)
-        else:
+        dynamic = np.empty((height, width), np.uint8) if out is None else out
+        if mask is not None:
             self._check_size(camera, mask, "mask")
-            fixed = self._fixed[camera]
-            if fixed is not None:
-                mask = cv2.remap(mask, *fixed, interpolation=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            dynamic = np.minimum(mask, MAX_DYNAMIC)
-        no_ray = self._no_ray[camera]
+        fixed, no_ray = self._fixed[camera], self._no_ray[camera]
+        if mask is None or not cv2.countNonZero(mask):
+            dynamic[...] = 0 if no_ray is None else no_ray
+            return dynamic
+        if fixed is not None:
+            mask = cv2.remap(mask, *fixed, cv2.INTER_LINEAR, dst=dynamic, borderMode=cv2.BORDER_REPLICATE)
+        np.minimum(mask, MAX_DYNAMIC, out=dynamic)
         return dynamic if no_ray is None else np.maximum(dynamic, no_ray, out=dynamic)
 
     def masks_to_input(self, camera: int, rectified_mask: np.ndarray, input_mask: np.ndarray | None) -> np.ndarray:
@@ -106,16 +121,16 @@ class Rectification:
         it is None); what the rectified mask holds where `dynamic` says NO_RAY is never used. The rectified
         mask itself where the map is None.
         """
-        if self.maps[camera] is None:
+        if input_mask is not None:
+            self._check_size(camera, input_mask, "mask")
+        if self._fixed[camera] is None:
             return rectified_mask
         if camera not in self._to_input:
             self._to_input[camera] = _inverse_map(self, camera)
-        fixed_xy, fixed_fraction, reached = self._to_input[camera]
-        mask = cv2.remap(rectified_mask, fixed_xy, fixed_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        if input_mask is None:
-            return np.where(reached, mask, np.uint8(0))
-        self._check_size(camera, input_mask, "mask")
-        return np.where(reached, mask, input_mask)
+        whole, fraction, unreached = self._to_input[camera]
+        mask = cv2.remap(rectified_mask, whole, fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        np.copyto(mask, np.uint8(0) if input_mask is None else input_mask, where=unreached)
+        return mask
 
     def row_offset_px(self, depth: float = 2.0) -> float:
         """Rows that W_k must carry: the largest row difference in px, over the reference view, between the
@@ -177,15 +192,11 @@ def _rectify(rig: Rig, reference: int) -> Rectification:
     cx, cy = principal_points[reference]
     shifts = principal_points - principal_points[reference]
     geometry = ArrayGeometry(focal, (float(cx), float(cy)), size, positions, reference, shifts=shifts)
-    sources = [_source(geometry, k, c, r) for k, (c, r) in enumerate(zip(rig.cameras, rotations, strict=True))]
-    maps = tuple(_masked_map(c, s) for c, s in zip(rig.cameras, sources, strict=True))
-    fixed = tuple(
-        None if s is None else _fixed_point(s, c.resolution) for c, s in zip(rig.cameras, sources, strict=True)
-    )
-    no_ray = tuple(None if m is None else np.isnan(m[0]) * np.uint8(NO_RAY) for m in maps)
+    made = on_threads(lambda k: _view(geometry, k, rig.cameras[k], rotations[k]), len(rig))
+    sources, fixed, no_ray = zip(*made, strict=True)
     error = _closed_loop_error(rig.cameras, rotations, geometry, sources)
     log.info("rectified %d cameras: %.1f px focal length, row error %.1g px", len(rig), focal[0], error)
-    return Rectification(geometry, maps, rotations, error, rig.cameras, fixed, no_ray)
+    return Rectification(geometry, rotations, error, rig.cameras, fixed, no_ray)
 
 
 def _orientation(rig: Rig, reference: int) -> np.ndarray:
@@ -303,51 +314,66 @@ def _central_focal(camera: Camera) -> float:
     return float(lengths.mean())
 
 
+View = tuple[np.ndarray | None, tuple[np.ndarray, np.ndarray] | None, np.ndarray | None]
+
+
+def _view(geometry: ArrayGeometry, index: int, camera: Camera, rectified_from_cam: np.ndarray) -> View:
+    """One camera's source pixels, the same for cv2.remap, and uint8[H, W] NO_RAY where there is none, else 0.
+
+    Three times None where the camera's image already is the rectified view.
+    """
+    source = _source(geometry, index, camera, rectified_from_cam)
+    if source is None:
+        return None, None, None
+    no_ray = ~inside(source, camera.resolution) * np.uint8(NO_RAY)
+    return source, fixed_point(source, camera.resolution), no_ray
+
+
 def _source(geometry: ArrayGeometry, index: int, camera: Camera, rectified_from_cam: np.ndarray) -> np.ndarray | None:
-    """float64[H, W, 2] source pixel of every rectified pixel, also off the image; None for the identity."""
-    width, height = geometry.size
-    (fx, fy), (cx, cy) = geometry.focal, np.array(geometry.center) + geometry.shifts[index]
-    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    rays = np.stack([(x - cx) / fx, (y - cy) / fy, np.ones_like(x)], axis=-1)
-    source = camera.project(rays @ rectified_from_cam)
-    unmoved = abs(source - np.stack([x, y], axis=-1)) < SAME_PIXEL
-    return None if camera.resolution == geometry.size and unmoved.all() else source
+    """float64[2, H, W] source pixel of every rectified pixel, also off the image; None for the identity."""
+    focal, center = np.array(geometry.focal), np.array(geometry.center) + geometry.shifts[index]
+
+    def projected(pixels: np.ndarray) -> np.ndarray:
+        plane = (pixels - center) / focal
+        return camera.project(np.concatenate([plane, np.ones_like(plane[..., :1])], axis=-1) @ rectified_from_cam)
+
+    source = dense(projected, geometry.size)
+    same = camera.resolution == geometry.size and _unmoved(source, 32) and _unmoved(source, 1)
+    return None if same else source
+
+
+def _unmoved(source: np.ndarray, every: int) -> bool:
+    """Whether every so many-th pixel of both directions stays where it is."""
+    height, width = source.shape[1:]
+    y, x = np.ogrid[:height:every, :width:every]
+    off_x, off_y = source[0, ::every, ::every] - x, source[1, ::every, ::every] - y
+    return bool((abs(off_x) < SAME_PIXEL).all() and (abs(off_y) < SAME_PIXEL).all())
 
 
 def _masked_map(camera: Camera, source: np.ndarray | None) -> tuple[np.ndarray, np.ndarray] | None:
     if source is None:
         return None
-    masked = np.where(_inside(source, camera.resolution)[..., None], source, np.nan).astype(np.float32)
-    return np.ascontiguousarray(masked[..., 0]), np.ascontiguousarray(masked[..., 1])
-
-
-def _fixed_point(source: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """cv2.remap's fastest map form, 1/32 px; pixels outside `size` are clamped to just beyond its border."""
-    near = np.clip(np.nan_to_num(source, nan=-1.0), -1.0, size).astype(np.float32)
-    whole, fraction = cv2.convertMaps(near[..., 0].copy(), near[..., 1].copy(), cv2.CV_16SC2)
-    return whole, fraction
-
-
-def _inside(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Where pixels (..., 2) lie on the image: half a pixel beyond the outer centres does, NaN does not."""
-    return np.all((pixels >= -0.5) & (pixels <= np.array(size) - 0.5), axis=-1)
+    map_x, map_y = np.where(inside(source, camera.resolution), source, np.nan).astype(np.float32)
+    return map_x, map_y
 
 
 def _inverse_map(rectification: Rectification, camera: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fixed-point maps, the rectified pixel of every input pixel, and where the rectified view reaches it."""
+    """Fixed-point maps, the rectified pixel of every input pixel, and where the rectified view does not reach it."""
     own, geometry = rectification.cameras[camera], rectification.geometry
-    w, h = own.resolution
-    pixels = np.stack(np.meshgrid(np.arange(w, dtype=np.float64), np.arange(h, dtype=np.float64)), axis=-1)
-    rays = own.unproject(pixels) @ rectification.rotation_from_cam[camera].T
-    ahead = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
-    center = np.array(geometry.center) + geometry.shifts[camera]
-    target = rays[..., :2] / ahead * np.array(geometry.focal) + center
-    whole, fraction = _fixed_point(target, geometry.size)
-    reached = _inside(target, geometry.size)
+    focal, center = np.array(geometry.focal), np.array(geometry.center) + geometry.shifts[camera]
+
+    def rectified(pixels: np.ndarray) -> np.ndarray:
+        rays = own.unproject(pixels) @ rectification.rotation_from_cam[camera].T
+        ahead = np.where(rays[..., 2:] > 0, rays[..., 2:], np.nan)
+        return rays[..., :2] / ahead * focal + center
+
+    target = dense(rectified, own.resolution)
+    whole, fraction = fixed_point(target, geometry.size)
+    reached = inside(target, geometry.size)
     no_ray = rectification._no_ray[camera]
     if no_ray is not None:  # what a refined mask holds there means nothing and must not bleed in
         reached &= cv2.remap(no_ray, whole, fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) == 0
-    return whole, fraction, reached
+    return whole, fraction, ~reached
 
 
 def _sample_grid(size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -359,7 +385,7 @@ def _closed_loop_error(
     cameras: tuple[Camera, ...],
     rotations: tuple[np.ndarray, ...],
     geometry: ArrayGeometry,
-    sources: list[np.ndarray | None],
+    sources: Sequence[np.ndarray | None],
 ) -> float:
     """Largest distance in px between map_k(W_k(x, d)) and the rig's own projection, over view and depths."""
     x, y = _sample_grid(geometry.size)
@@ -379,7 +405,8 @@ def _closed_loop_error(
 
 
 def _bilinear(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """values[H, W, C] at (x, y); NaN outside."""
+    """values[C, H, W] at (x, y), as [..., C]; NaN outside."""
+    values = np.moveaxis(values, 0, -1)
     height, width = values.shape[:2]
     x, y = x.astype(np.float64), y.astype(np.float64)
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
