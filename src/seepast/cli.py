@@ -151,6 +151,7 @@ def run(
 
 app.command("seepast.commands.check:check")
 app.command("seepast.commands.refocus:refocus")
+app.command("seepast.commands.epi:epi")
 app.command("seepast.commands.models:models")
 app.command(export)
 
