@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -516,17 +517,23 @@ def test_leftovers_of_a_killed_export_go_away(truth: Truth, tmp_path: Path) -> N
     write_bytes(part / "ply" / "old.ply", b"half")
     export(RunFolder(truth.folder), "ply", truth.folder / "ply")
     assert not part.exists() and not (truth.folder / "ply" / "old.ply").exists()
+    write_bytes(part / "ply" / "old.ply", b"half")
+    write_run(truth.folder, stamps=STAMPS[:1])
+    assert not part.exists(), "the next run clears up too"
 
 
-@pytest.mark.parametrize("to", BAGS)
-def test_a_full_disk_is_told_in_one_line(truth: Truth, to: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("rosbags.rosbag2.Writer.write", full)
-    monkeypatch.setattr("rosbags.rosbag1.Writer.write", full)
-    with pytest.raises(OutputError, match="No space left on device"):
-        exported(truth, to)
+@pytest.mark.skipif(sys.platform == "win32", reason="no limits there")
+@pytest.mark.parametrize("to", FORMATS)
+def test_a_full_disk_is_told_in_one_line_and_leaves_nothing(truth: Truth, to: str) -> None:
+    code = (
+        "import resource, signal, sys; from seepast.cli import main\n"
+        "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))\n"
+        "sys.exit(main(sys.argv[1:]))"
+    )
+    words = [sys.executable, "-c", code, "export", str(truth.folder), "--to", to]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert "cannot be written" in done.stderr and str(truth.folder.parent) in done.stderr
     assert {p.name for p in truth.folder.parent.iterdir()} == {"out"}
 
 

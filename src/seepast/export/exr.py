@@ -37,7 +37,10 @@ def write_exr(view: View, frames: Iterable[tuple[int, Written]], path: Path, opt
             **attributes(view, frame.stamp, time),
         }
         with openexr.File(header, channels(frame)) as file:
-            file.write(str(path / f"{frame.stamp}.exr"))
+            try:
+                file.write(str(path / f"{frame.stamp}.exr"))
+            except RuntimeError as error:  # how a full disk shows
+                raise OSError(str(error)) from error
 
 
 def attributes(view: View, stamp: str, time: int) -> dict[str, Any]:

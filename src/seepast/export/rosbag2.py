@@ -35,7 +35,12 @@ def write_mcap(view: View, frames: Iterable[tuple[int, Written]], path: Path, op
 def _write(
     view: View, frames: Iterable[tuple[int, Written]], path: Path, options: ExportOptions, storage: str, purpose: str
 ) -> None:
+    import sqlite3
+
     store = typestore("ROS2_HUMBLE", purpose)
     rosbag2 = require("rosbags.rosbag2", "rosbag", purpose)
-    with rosbag2.Writer(path, version=VERSION, storage_plugin=rosbag2.StoragePlugin[storage]) as bag:
-        record(bag, store.serialize_cdr, Messages(store, ros1=False), view, frames, options)
+    try:
+        with rosbag2.Writer(path, version=VERSION, storage_plugin=rosbag2.StoragePlugin[storage]) as bag:
+            record(bag, store.serialize_cdr, Messages(store, ros1=False), view, frames, options)
+    except sqlite3.Error as error:  # how a full disk shows
+        raise OSError(f"the bag's database says: {error}") from error
