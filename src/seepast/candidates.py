@@ -1,4 +1,4 @@
-"""What the disparity stage is given to choose from: the grid of candidate disparities and the planar prior."""
+"""What disparities are chosen from: the grid of candidates, what of it every pixel is matched at, the planar prior."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from .errors import OptionsError
 from .options import PriorOptions, RangeOptions
 
 EIGHTHS = 8  # disparities of candidates and of the prior mean are whole eighths of a pixel
+CHUNK = 16  # neighbouring candidates that are matched together
 CELL = (16, 32)  # rows, columns: pixels of one cell share the candidates of the support points around them
 
 
@@ -37,6 +38,41 @@ class DisparityGrid:
     def values(self) -> np.ndarray:
         """float32 [count] px."""
         return (np.float32(self.first) + np.float32(self.step) * np.arange(self.count, dtype=np.float32)) / EIGHTHS
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Which of the grid every pixel of a view is matched at, in chunks of CHUNK neighbouring candidates.
+
+    grid    grid.count is a multiple of CHUNK, at most 64 of them
+    active  uint64 [H, W], bit j: candidates CHUNK j .. CHUNK (j + 1) - 1. Every pixel has one bit or more
+    start   int32 [H W + 1]: pixel y W + x owns rows start[p] .. start[p + 1] - 1 of a volume uint8 [start[-1], CHUNK],
+            its chunks from the farthest (j lowest) on
+    """
+
+    grid: DisparityGrid
+    active: np.ndarray
+    start: np.ndarray
+
+    @staticmethod
+    def of(grid: DisparityGrid, active: np.ndarray) -> Candidates:
+        bits = np.unpackbits(np.ascontiguousarray(active).reshape(-1, 1).view(np.uint8), axis=-1)
+        start = np.zeros(active.size + 1, np.int32)
+        np.cumsum(bits.sum(-1, dtype=np.int32), out=start[1:])
+        return Candidates(grid, active, start)
+
+    @staticmethod
+    def all(grid: DisparityGrid, shape: tuple[int, int]) -> Candidates:
+        """Every pixel at the whole grid."""
+        chunks = grid.count // CHUNK
+        active = np.full(shape, (1 << chunks) - 1, np.uint64)
+        return Candidates(grid, active, chunks * np.arange(active.size + 1, dtype=np.int32))
+
+    @property
+    def mask(self) -> np.ndarray:
+        """bool [H, W, count]: the candidates of every pixel."""
+        chunks = np.arange(self.grid.count // CHUNK, dtype=np.uint64)
+        return (self.active[..., None] >> chunks & np.uint64(1)).astype(bool).repeat(CHUNK, -1)
 
 
 @dataclass(frozen=True, eq=False)
