@@ -34,6 +34,16 @@ void bind_multiview(nb::module_& m) {
   m.attr("PLANES") = kPlanes;
 
   m.def(
+      "windows",
+      [](In<uint16_t, 2> disparity, int ratio, const Grid& grid, int reach, Out<uint64_t, 2> active) {
+        if (grid.count > kMostChunks * kChunk) throw std::invalid_argument("too many candidates");
+        windows(disparity.data(), static_cast<int>(disparity.shape(0)), static_cast<int>(disparity.shape(1)),
+                ratio, grid, reach, static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)),
+                active.data());
+      },
+      free_lock);
+
+  m.def(
       "census",
       [](In<float, 2> offsets, In<uint8_t, 4> colour, In<uint8_t, 3> is_static, In<int32_t, 2> cubic,
          In<int32_t, 1> luma, Out<uint8_t, 4> planes, Out<int32_t, 4> unclear) {

@@ -12,6 +12,13 @@ constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
 constexpr int kBlock = 64;  // columns that are matched together, and empty columns on either side of a row
 
+constexpr int kChunk = 16;       // candidates.py CHUNK
+constexpr int kMostChunks = 64;  // bits of a pixel's active chunks
+
+// disparity uint16 [rows, columns] of views `ratio` times smaller; active uint64 [height, width].
+void windows(const uint16_t* disparity, int rows, int columns, int ratio, const Grid& grid, int reach,
+             int height, int width, uint64_t* active);
+
 // Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x +
 // kBlock. The words of census and valid take 8 planes. Outside the image all is 0. Phase p is the sample at x
 // + p / 4.

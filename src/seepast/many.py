@@ -91,12 +91,14 @@ class Penalties:
 
 @dataclass(frozen=True)
 class VoteWeights:
-    """base and volume in 128ths; gain and hide in 128ths per unit of FULL_VOTE: whole tens of energy."""
+    """base and volume in 128ths; gain and hide in 128ths per unit of FULL_VOTE: whole tens of energy. visible: there
+    are votes on what the view sees itself; else it keeps its costs."""
 
     base: int
     gain: int
     hide: int
     volume: int
+    visible: bool = True
 
     @staticmethod
     def of(options: MultiviewOptions) -> VoteWeights:

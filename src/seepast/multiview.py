@@ -7,7 +7,7 @@ per stage, in order, of the backend's many-view module (backends.multiview).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -15,12 +15,14 @@ import cv2
 import numpy as np
 
 from . import backends
-from .candidates import EIGHTHS, DisparityGrid
+from .candidates import Candidates
 from .frames import Frame
 from .geometry import ArrayGeometry
+from .levels import Level, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people
+from .surfaces import static_span, surfaces
 
 if TYPE_CHECKING:
     from .pipeline import Clock
@@ -38,57 +40,32 @@ def see_past(
 
     Symbols: x pixel of view r, x^k = W_k(x, d) its ray in camera k, D_k camera k's disparity, c_k its confidence.
     """
-    o, K, r = options.multiview, geometry.cameras, geometry.reference
-    views = [geometry.seen_from(k) for k in range(K)]
+    o, r = options.multiview, geometry.reference
     colour = three_channels(frame.colour)
-    first = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, o.dynamic_penalty)
-    final = Penalties.of(o.final_small_penalty, o.final_large_penalty, o.final_least_penalty, o.final_dynamic_penalty)
 
     with clock("surfaces"):  # what every camera sees, people included, at a coarse look
-        scale = coarseness(geometry, options)
-        seen = surfaces(colour, geometry, search_range(geometry, options), scale, o, backend)
+        seen = surfaces(colour, geometry, options, backend)
     dynamic = frame.dynamic
     if options.people.enabled:
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
-            whole = enlarged(seen.disparity.astype(np.float32) * np.float32(scale / UNITS), scale, dynamic.shape)
+            whole = seen.at_full_size(dynamic.shape[1:])
             dynamic = refine_people(frame, whole, geometry, options.people, backends.people(backend))
     static = dynamic <= 254 * (1 - o.threshold)
     with clock("range"):  # candidates: between what the static surfaces span
-        fine = static_range(seen, scale, static, geometry, options)
-        grid = thinned(fine, o.view_step)
-    with clock("describe"):  # census and colour at quarter-pixel phases
-        features = backend.describe(colour, static)
-    with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = [
-            backend.volume(features, view, fine if k == r else grid, PairCosts.of(o)) for k, view in enumerate(views)
-        ]
-        wanted_costs, costs[r] = costs[r], np.ascontiguousarray(costs[r][..., :: o.view_step])
-        del features  # a fifth of the memory
-    with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
-        found = np.stack([backend.aggregate(costs[k], colour[k], static[k], grid, first) for k in range(K)])
-    found, confidence = confirmed(found, colour, static, views, o, backend, clock)
+        span = static_span(seen, static, geometry, options)
 
-    for _ in range(o.rounds - 1):  # once more, with what the others saw
-        better = []
-        for k in range(K):
-            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                energy = backend.votes(costs[k], found, confidence, static[k], views[k], grid, k, VoteWeights.of(o))
-            with clock("aggregate"):
-                better.append(backend.aggregate(energy, colour[k], static[k], grid, first))
-        found, confidence = confirmed(np.stack(better), colour, static, views, o, backend, clock)
-
-    with clock("votes"):  # the wanted view, its own vote included
-        energy = backend.votes(wanted_costs, found, confidence, static[r], geometry, fine, -1, VoteWeights.of(o))
-    with clock("aggregate"):
-        d = backend.aggregate(energy, colour[r], static[r], fine, final)
-    if o.planes:
-        with clock("planes"):  # where fewer than two static views agree
-            agree, _ = backend.witnesses(d, found, static, geometry, -1, agreement(o))
-            d = backend.planes(d, agree >= 2, agree < 2, colour[r], static[r])
+    found = None
+    for scale in scales(geometry, o):  # coarse to fine: each level looks around what the one before it found
+        with clock("describe"):
+            level = Level.of(colour, static, geometry, scale)
+        every_view = scale > 1 or o.fine_views
+        found = (every_view_at if every_view else wanted_view_at)(level, span, found, options, backend, clock)
+    assert found is not None
+    d = found.disparity[r]
 
     keep = static[r]  # the reference sees these itself
     with clock("labels"):  # S^k: ray k is static and |D_k(x^k) - d| <= label_tolerance
-        shown, passing = backend.labels(d, found, static, geometry, round(UNITS * o.label_tolerance))
+        shown, passing = backend.labels(d, found.disparity, static, geometry, round(UNITS * o.label_tolerance))
     with clock("refocus"):  # I* = sum_k w_k S^k I_k(x^k) / sum_k w_k S^k
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
@@ -121,10 +98,93 @@ def agreement(o: MultiviewOptions) -> int:
     return round(UNITS * o.tolerance)
 
 
-def confirmed(found, colour, static, views, o: MultiviewOptions, backend, clock) -> tuple[np.ndarray, np.ndarray]:
+def every_view_at(level: Level, span, before: Views | None, options: Options, backend, clock) -> Views:
+    """Every camera is a reference once, then they vote: D_k and c_k of all views; the wanted one's with its own vote.
+
+    span    (low, high) of the disparities, px of full-size views
+    before  what the next coarser level found; None: the whole span is looked through
+    """
+    o, r, K = options.multiview, level.geometry.reference, level.geometry.cameras
+    first, final = penalties(o)
+    colour, static, views = level.colour, level.static, level.views
+    with clock("candidates"):
+        candidates = [around(before, k, level, span, options, backend) for k in range(K)]
+    with clock("describe"):  # census and colour at quarter-pixel phases
+        features = backend.describe(colour, static)
+    with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
+        costs = [backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in range(K)]
+        del features  # a fifth of the memory
+    with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
+        found = np.stack([backend.aggregate(costs[k], colour[k], static[k], candidates[k], first) for k in range(K)])
+    found, confidence = confirmed(found, level, o, backend, clock)
+    for _ in range(o.rounds - 1):  # once more, with what the others saw
+        better = []
+        for k in range(K):
+            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
+                energy = backend.votes(
+                    costs[k], found, confidence, static[k], views[k], candidates[k], k, VoteWeights.of(o)
+                )
+            with clock("aggregate"):
+                better.append(backend.aggregate(energy, colour[k], static[k], candidates[k], first))
+        found, confidence = confirmed(np.stack(better), level, o, backend, clock)
+    seen = Views(level.scale, found, confidence)
+    found[r] = wanted_view(level, costs[r], candidates[r], seen, final, VoteWeights.of(o), o, backend, clock)
+    return seen
+
+
+def wanted_view_at(level: Level, span, before: Views, options: Options, backend, clock) -> Views:
+    """Only the wanted view is matched; the others are what the coarser level found."""
+    o, r = options.multiview, level.geometry.reference
+    with clock("candidates"):
+        candidates = around(before, r, level, span, options, backend)
+        seen = before.at(level)
+    with clock("describe"):
+        features = backend.describe(level.colour, level.static)
+    with clock("volume"):
+        costs = backend.volume(features, level.geometry, candidates, PairCosts.of(o))
+    # coarse views know a pixel to 2 px: they have no say where the wanted view sees for itself
+    weights = replace(VoteWeights.of(replace(o, vote_gain=o.coarse_vote_gain)), visible=False)
+    seen.disparity[r] = wanted_view(level, costs, candidates, seen, penalties(o)[0], weights, o, backend, clock)
+    return seen
+
+
+def wanted_view(level: Level, costs, candidates, seen: Views, smooth, weights, o, backend, clock) -> np.ndarray:
+    """The wanted view's disparity by all views' votes, its own included: uint16 [h, w]."""
+    r, geometry = level.geometry.reference, level.geometry
+    colour, static = level.colour[r], level.static[r]
+    with clock("votes"):
+        energy = backend.votes(costs, seen.disparity, seen.confidence, static, geometry, candidates, -1, weights)
+    with clock("aggregate"):
+        d = backend.aggregate(energy, colour, static, candidates, smooth)
+    if o.planes:
+        with clock("planes"):  # where fewer than two static views agree
+            agree, _ = backend.witnesses(d, seen.disparity, level.static, geometry, -1, agreement(o))
+            d = backend.planes(d, agree >= 2, agree < 2, colour, static)
+    return d
+
+
+def around(before: Views | None, k: int, level: Level, span, options: Options, backend) -> Candidates:
+    """Where camera k's view is matched: around what the coarser level found there, at first everywhere."""
+    grid, shape = level_grid(span, level.scale, options.range.step), level.static.shape[1:]
+    if before is None:
+        return Candidates.all(grid, shape)
+    reach = round(UNITS * options.multiview.window)
+    return Candidates.of(grid, backend.windows(before.disparity[k], before.scale // level.scale, grid, reach, shape))
+
+
+def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
+    """Of the views' passes, and of the wanted one's last."""
+    return (
+        Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, o.dynamic_penalty),
+        Penalties.of(o.final_small_penalty, o.final_large_penalty, o.final_least_penalty, o.final_dynamic_penalty),
+    )
+
+
+def confirmed(found, level: Level, o: MultiviewOptions, backend, clock) -> tuple[np.ndarray, np.ndarray]:
     """Every view's disparities with unconfirmed ones put on planes, and their confidence: uint16, uint8 [K, H, W]."""
+    colour, static = level.colour, level.static
     confidence, completed = np.empty(found.shape, np.uint8), np.empty_like(found)
-    for k, view in enumerate(views):
+    for k, view in enumerate(level.views):
         with clock("confidence"):  # 1 where another view agrees, little where one sees farther
             agree, farther = backend.witnesses(found[k], found, static, view, k, agreement(o))
             doubtful, lone = round(20 * o.doubtful_confidence), round(20 * o.lone_confidence)
@@ -135,125 +195,6 @@ def confirmed(found, colour, static, views, o: MultiviewOptions, backend, clock)
                 backend.planes(found[k], sure & static[k], ~sure, colour[k], static[k]) if o.planes else found[k]
             )
     return completed, confidence
-
-
-# --------------------------------------------------------------------------------------------------- range
-
-
-@dataclass(frozen=True, eq=False)
-class Surfaces:
-    """What every camera sees, people included: disparity uint16 [K, h, w] in 32nds of a reduced pixel, and bool
-    [K, h, w] where another view confirms it."""
-
-    disparity: np.ndarray
-    agree: np.ndarray
-
-
-def coarseness(geometry: ArrayGeometry, options: Options) -> int:
-    """How often views are reduced for the coarse look: the masks want more of it than the range does."""
-    width, scale = geometry.size[0], 1
-    if not options.people.enabled:
-        return max(1, min(options.multiview.range_scale, width // 64))
-    while width // scale > options.people.surface_width:
-        scale *= 2
-    return scale
-
-
-def static_range(
-    seen: Surfaces, scale: int, static: np.ndarray, geometry: ArrayGeometry, options: Options
-) -> DisparityGrid:
-    """The candidates between which the static scene lies.
-
-    The 0.3 and 99.7 percentiles of disparities that another view confirms, clear of people, and a margin.
-    """
-    o, search = options.multiview, search_range(geometry, options)
-    clear = cv2.erode(static.view(np.uint8).transpose(1, 2, 0), np.ones((21, 21), np.uint8), borderValue=1)
-    clear = clear.reshape(*static.shape[1:], -1).transpose(2, 0, 1)[:, scale // 2 :: scale, scale // 2 :: scale]
-    height, width = (min(a, b) for a, b in zip(clear.shape[1:], seen.disparity.shape[1:], strict=True))
-    sure = seen.disparity[:, :height, :width][clear[:, :height, :width].astype(bool) & seen.agree[:, :height, :width]]
-    low, high = search.values[0], search.values[-1]
-    if len(sure):
-        inner = np.percentile(sure, (0.3, 99.7)) * (scale / UNITS)
-        margin = max(2.0, 0.04 * (inner[1] - inner[0])) + 3
-        low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
-    step = max(1, round(EIGHTHS * options.range.step))
-    start = round(EIGHTHS * float(np.floor(low)))
-    count = int(np.ceil((EIGHTHS * high - start) / step)) + 1
-    whole = LANES * o.view_step
-    return DisparityGrid(start, step, -(-count // whole) * whole)
-
-
-def enlarged(views: np.ndarray, scale: int, shape: tuple[int, ...]) -> np.ndarray:
-    """Views of reduced size with every pixel repeated, up to `shape`: [K, h, w] -> [K, H, W]."""
-    if scale == 1:
-        return views
-    whole = views.repeat(scale, 1).repeat(scale, 2)
-    missing = [(0, 0)] + [(0, max(0, want - have)) for want, have in zip(shape[1:], whole.shape[1:], strict=True)]
-    return np.ascontiguousarray(np.pad(whole, missing, mode="edge")[:, : shape[1], : shape[2]])
-
-
-def thinned(grid: DisparityGrid, every: int) -> DisparityGrid:
-    """Every so many-th candidate."""
-    return DisparityGrid(grid.first, grid.step * every, -(-grid.count // every))
-
-
-LANES = 32  # candidates are a multiple of these, so that no loop over them has a remainder
-
-
-def search_range(geometry: ArrayGeometry, options: Options) -> DisparityGrid:
-    """What is looked through at first: options.range in whole pixels; 0.45 x the width beyond the views' own shifts."""
-    wanted = replace(options.range, step=1.0)
-    if not wanted.max_disparity:
-        far = np.abs(geometry.offsets[:, 0]) > 0.5
-        beyond = max(0.0, float((geometry.offsets[far, 3] / geometry.offsets[far, 0]).max(initial=0)))
-        wanted = replace(wanted, max_disparity=min(4096.0, 0.45 * geometry.size[0] + beyond))
-    return DisparityGrid.of(wanted, geometry.size[0])
-
-
-def surfaces(
-    colour: np.ndarray,
-    geometry: ArrayGeometry,
-    search: DisparityGrid,
-    scale: int,
-    o: MultiviewOptions,
-    backend: ModuleType,
-) -> Surfaces:
-    """What every camera sees, people included, on views reduced `scale` times: no masks, full search range."""
-    small = reduced(geometry, scale)
-    size = small.size
-    if scale > 1:
-        colour = np.stack([cv2.resize(view, size, interpolation=cv2.INTER_AREA) for view in colour])
-    static = np.ones(colour.shape[:-1], bool)
-    count = -(-((search.count - 1) // scale + 1) // LANES) * LANES
-    grid = DisparityGrid(search.first // scale, search.step, count)
-    penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
-    features = backend.describe(colour, static)
-    views = [small.seen_from(k) for k in range(len(colour))]
-    found = np.stack(
-        [
-            backend.aggregate(
-                backend.volume(features, view, grid, PairCosts.of(o)), colour[k], static[k], grid, penalties
-            )
-            for k, view in enumerate(views)
-        ]
-    )
-    agree = [backend.witnesses(found[k], found, static, view, k, agreement(o))[0] > 0 for k, view in enumerate(views)]
-    return Surfaces(found, np.stack(agree))
-
-
-def reduced(geometry: ArrayGeometry, scale: int) -> ArrayGeometry:
-    """The array with `scale` x `scale` pixels averaged into one."""
-    if scale == 1:
-        return geometry
-    width, height = geometry.size
-    cx, cy = ((c - (scale - 1) / 2) / scale for c in geometry.center)
-    return replace(
-        geometry,
-        focal=(geometry.focal[0] / scale, geometry.focal[1] / scale),
-        center=(cx, cy),
-        size=(max(1, width // scale), max(1, height // scale)),
-        shifts=geometry.shifts / scale,
-    )
 
 
 # ------------------------------------------------------------------------------------------------- picture

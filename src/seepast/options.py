@@ -137,12 +137,15 @@ class MultiviewOptions(StageOptions):
     """The many-view method (multiview.py): every camera is a reference once, then they vote."""
 
     enabled: bool = option(False, "", None, None, "this method instead of the paper's stages")
-    rounds: int = option(2, "rounds", 1, 4, "1: no votes between the views before the wanted one's own")
+    rounds: int = option(2, "rounds", 1, 4, "per level; 1: no votes between the views before the wanted one's own")
     threshold: float = option(0.5, "", 0, 1, "a pixel is static where its prior P(static) is at least this")
     range_scale: int = option(4, "", 1, 8, "views are reduced this often to find the range of disparities")
-    view_step: int = option(
-        1, "", 1, 8, "views are matched at every so many-th candidate, the wanted one's last pass at all"
+    coarsest: int = option(
+        2, "", 1, 16, "views are first matched reduced this often, then at twice that size and so on"
     )
+    window: float = option(4.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
+    fine_views: bool = option(True, "", None, None, "all views are matched at full size; else only the wanted one")
+    coarse_vote_gain: float = option(10.0, "", 0, 30, "vote_gain of views that were not")
     colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")
     colour_cap: float = option(33.0, "", 0, 100, "it is never more; the census is 100 at most")
     few_cost: float = option(40.0, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")

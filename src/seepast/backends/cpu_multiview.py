@@ -17,7 +17,7 @@ from .reference import FOREGROUND_WEIGHT, NEARER
 from .reference_multiview import confidence_of
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "witnesses"
+    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows", "witnesses"
 ]  # fmt: skip
 
 
@@ -36,6 +36,12 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     unclear = np.empty((K, height, 2, stride + 1), np.int32)
     _core.census(np.zeros((K, 5), np.float32), colour, _bytes(static), CUBIC, LUMA, planes, unclear)
     return Features(planes, unclear)
+
+
+def windows(disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, shape: tuple[int, ...]) -> np.ndarray:
+    active = np.empty(shape, np.uint64)
+    _core.windows(disparity, ratio, _grid(grid), reach, active)
+    return active
 
 
 def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, costs: PairCosts) -> np.ndarray:

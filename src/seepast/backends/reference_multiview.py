@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..candidates import DisparityGrid
+from ..candidates import CHUNK, EIGHTHS, DisparityGrid
 from ..geometry import ArrayGeometry
 from ..many import (
     CONFIDENT,
@@ -46,6 +46,7 @@ __all__ = [
     "planes",
     "volume",
     "votes",
+    "windows",
     "witnesses",
 ]
 
@@ -97,6 +98,28 @@ def moved(planes: np.ndarray, dy: int, dx: int) -> np.ndarray:
     height, width = planes.shape[-2:]
     padded = np.pad(planes, ((0, 0), (abs(dy), abs(dy)), (abs(dx), abs(dx))))
     return padded[:, abs(dy) + dy :, abs(dx) + dx :][:, :height, :width]
+
+
+# --------------------------------------------------------------------------------------------- candidates
+
+
+def windows(disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity: uint64 [H, W], as
+    Candidates.active.
+
+    disparity uint16 [h, w] in 32nds of a pixel of views that are `ratio` times smaller than shape = (H, W). A pixel
+    takes the chunks of the 3x3 coarse pixels around its own: surfaces end anywhere between them.
+    """
+    centre = disparity.astype(np.int64) * ratio - UNITS // EIGHTHS * grid.first
+    spacing, last = UNITS // EIGHTHS * grid.step, grid.count - 1
+    low = ((centre - reach) // spacing).clip(0, last) // CHUNK
+    high = (-(-(centre + reach) // spacing)).clip(0, last) // CHUNK
+    bits = (np.uint64(2**64 - 1) >> (63 - (high - low)).astype(np.uint64)) << low.astype(np.uint64)
+    padded = np.pad(bits, 1, mode="edge")
+    h, w = bits.shape
+    bits = np.bitwise_or.reduce([padded[i : i + h, j : j + w] for i in range(3) for j in range(3)])
+    y, x = ((np.arange(n) // ratio).clip(0, limit - 1) for n, limit in zip(shape, (h, w), strict=True))
+    return bits[y[:, None], x]
 
 
 # ------------------------------------------------------------------------------------------------- volume

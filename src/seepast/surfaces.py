@@ -1,0 +1,103 @@
+"""What every camera sees, people included, at a coarse look; and the disparities that the static scene spans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import ModuleType
+
+import cv2
+import numpy as np
+
+from .candidates import Candidates, DisparityGrid
+from .geometry import ArrayGeometry
+from .levels import Level, enlarged, level_grid
+from .many import UNITS, PairCosts, Penalties
+from .options import Options
+
+CLEAR = 10  # px: surfaces that near to people may be theirs
+INNER = (0.3, 99.7)  # percentiles of the disparities that are believed
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What every camera sees, people included, on views reduced `scale` times.
+
+    disparity  uint16 [K, h, w] in 32nds of a reduced pixel
+    agree      bool [K, h, w]: another view confirms it
+    """
+
+    scale: int
+    disparity: np.ndarray
+    agree: np.ndarray
+
+    def at_full_size(self, shape: tuple[int, ...]) -> np.ndarray:
+        """float32 [K, *shape] px over the array."""
+        return enlarged(self.disparity, self.scale, shape).astype(np.float32) * np.float32(self.scale / UNITS)
+
+
+def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, backend: ModuleType) -> Surfaces:
+    """Semi-global matching of every view without any mask, through the whole range; colour uint8 [K, H, W, 3]."""
+    o, scale = options.multiview, coarseness(geometry, options)
+    level = Level.of(colour, np.ones(colour.shape[:-1], bool), geometry, scale)
+    low, *_, high = search_range(geometry, options).values
+    candidates = Candidates.all(level_grid((low, high), scale, 1.0), level.static.shape[1:])
+    penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
+    features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
+    found = np.stack(
+        [
+            backend.aggregate(
+                backend.volume(features, view, candidates, costs),
+                level.colour[k],
+                level.static[k],
+                candidates,
+                penalties,
+            )
+            for k, view in enumerate(level.views)
+        ]
+    )
+    tolerance = round(UNITS * o.tolerance)
+    agree = [
+        backend.witnesses(found[k], found, level.static, view, k, tolerance)[0] > 0
+        for k, view in enumerate(level.views)
+    ]
+    return Surfaces(scale, found, np.stack(agree))
+
+
+def coarseness(geometry: ArrayGeometry, options: Options) -> int:
+    """How often views are reduced for the coarse look: the masks want more of it than the range does."""
+    width, scale = geometry.size[0], 1
+    if not options.people.enabled:
+        return max(1, min(options.multiview.range_scale, width // 64))
+    while width // scale > options.people.surface_width:
+        scale *= 2
+    return scale
+
+
+def search_range(geometry: ArrayGeometry, options: Options) -> DisparityGrid:
+    """What is looked through at first: options.range in whole pixels; 0.45 x the width beyond the views' own shifts."""
+    wanted = replace(options.range, step=1.0)
+    if not wanted.max_disparity:
+        far = np.abs(geometry.offsets[:, 0]) > 0.5
+        beyond = max(0.0, float((geometry.offsets[far, 3] / geometry.offsets[far, 0]).max(initial=0)))
+        wanted = replace(wanted, max_disparity=min(4096.0, 0.45 * geometry.size[0] + beyond))
+    return DisparityGrid.of(wanted, geometry.size[0])
+
+
+def static_span(seen: Surfaces, static: np.ndarray, geometry: ArrayGeometry, options: Options) -> tuple[float, float]:
+    """Lowest and highest disparity of the static scene, px of full-size views; static bool [K, H, W].
+
+    Percentiles of the disparities that another view confirms, clear of people, and a margin.
+    """
+    scale = seen.scale
+    height, width = seen.disparity.shape[1:]
+    reach = CLEAR // scale
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    small = static[:, scale // 2 :: scale, scale // 2 :: scale][:, :height, :width]
+    clear = [cv2.erode(np.ascontiguousarray(view).view(np.uint8), square, borderValue=1) > 0 for view in small]
+    low, *_, high = search_range(geometry, options).values
+    sure = seen.disparity[np.stack(clear) & seen.agree]
+    if len(sure):
+        inner = np.percentile(sure, INNER) * (scale / UNITS)
+        margin = max(2.0, 0.04 * (inner[1] - inner[0])) + 10
+        low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
+    return float(np.floor(low)), float(high)
