@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -53,7 +53,7 @@ def main() -> None:
     words = machine()
     parts = []
     for kind in kinds:
-        scores = score(recordings, kind, arguments.presets)
+        scores = score(recordings, kind, {name: Options.preset(name) for name in arguments.presets})
         parts.append(report(kind, scores, arguments.presets))
         print(f"\n{parts[-1]}\n", flush=True)
         for preset, rows in scores.sheets.items():
@@ -87,35 +87,37 @@ def mask_kinds(recordings: Iterable[Path]) -> list[str]:
     return sorted({p.name for path in recordings for p in path.glob("masks*") if p.is_dir()})
 
 
-def score(recordings: list[Path], kind: str, presets: list[str]) -> Scores:
-    """Every preset and baseline on every recording that has masks of this kind."""
+def score(recordings: list[Path], kind: str, methods: Mapping[str, Options], baselines: bool = True) -> Scores:
+    """Every method, and every baseline, on every recording that has masks of this kind."""
     scores = Scores()
     for path in recordings:
         if (path / kind).is_dir():
             print(f"{kind}: {path.name}", flush=True)
             with tempfile.TemporaryDirectory() as scratch:
-                _score_recording(path, kind, presets, Path(scratch), scores)
+                _score_recording(path, kind, methods, BASELINES if baselines else {}, Path(scratch), scores)
     if not scores.rows:
         raise SystemExit(f"no recording has masks called {kind}")
     return scores
 
 
-def _score_recording(path: Path, kind: str, presets: list[str], scratch: Path, scores: Scores) -> None:
+def _score_recording(
+    path: Path, kind: str, methods: Mapping[str, Options], baselines: Mapping, scratch: Path, scores: Scores
+) -> None:
     dataset = open_dataset(path, masks=kind)
     reference = truth_camera(path)
-    runs = {name: Reconstructor(dataset.rig, options=Options.preset(name), reference=reference) for name in presets}
+    runs = {name: Reconstructor(dataset.rig, options=o, reference=reference) for name, o in methods.items()}
     for stamp in dataset.stamps:
         frame = dataset.frame(stamp)
-        scene = _scene(dataset, stamp, reference, runs[presets[0]])
+        scene = _scene(dataset, stamp, reference, next(iter(runs.values())))
         for name, run in runs.items():
             result = run(frame.images, frame.masks)
             picture = Picture(result.background, result.disparity, result.coverage, result.masks)
             _write(scratch / name, stamp, picture, dataset)
             if stamp == dataset.stamps[0]:
                 scores.sheets.setdefault(name, []).append(sheet_row(path.name, scene, picture))
-        for name, (baseline, _) in BASELINES.items():
+        for name, (baseline, _) in baselines.items():
             _write(scratch / name, stamp, baseline(scene), dataset)
-    for name in (*runs, *BASELINES):
+    for name in (*runs, *baselines):
         rows = evaluate(path, scratch / name, kind)
         del rows[MEAN]
         one = len(rows) == 1

@@ -25,7 +25,7 @@ void row_bits(const uint16_t* d, int width, int ratio, const Grid& grid, int rea
 }  // namespace
 
 void windows(const uint16_t* disparity, int rows, int columns, int ratio, const Grid& grid, int reach,
-             int height, int width, uint64_t* active) {
+             int spread, int height, int width, uint64_t* active) {
   std::vector<uint64_t> bits(static_cast<size_t>(rows) * columns);
 #pragma omp parallel for schedule(static)
   for (int y = 0; y < rows; ++y) {
@@ -34,19 +34,21 @@ void windows(const uint16_t* disparity, int rows, int columns, int ratio, const 
   }
 #pragma omp parallel
   {
-    std::vector<uint64_t> around(columns);
+    std::vector<uint64_t> column(columns), around(columns);
 #pragma omp for schedule(static)
     for (int y = 0; y < rows; ++y) {
-      const uint64_t* here = bits.data() + static_cast<size_t>(y) * columns;
-      const uint64_t *above = y > 0 ? here - columns : here, *below = y + 1 < rows ? here + columns : here;
-      for (int x = 0; x < columns; ++x) around[x] = above[x] | here[x] | below[x];
+      std::fill(column.begin(), column.end(), 0);
+      for (int j = std::max(0, y - spread); j <= std::min(rows - 1, y + spread); ++j)
+        for (int x = 0; x < columns; ++x) column[x] |= bits[static_cast<size_t>(j) * columns + x];
+      around = column;
+      for (int i = 1; i <= std::min(spread, columns - 1); ++i) {
+        for (int x = i; x < columns; ++x) around[x] |= column[x - i];
+        for (int x = 0; x < columns - i; ++x) around[x] |= column[x + i];
+      }
       const int first = y * ratio, last = y + 1 < rows ? std::min(height, first + ratio) : height;
       for (int fine = first; fine < last; ++fine)
-        for (int x = 0; x < width; ++x) {
-          const int at = std::min(x / ratio, columns - 1);
-          active[static_cast<size_t>(fine) * width + x] =
-              around[std::max(at - 1, 0)] | around[at] | around[std::min(at + 1, columns - 1)];
-        }
+        for (int x = 0; x < width; ++x)
+          active[static_cast<size_t>(fine) * width + x] = around[std::min(x / ratio, columns - 1)];
     }
   }
 }

@@ -168,8 +168,9 @@ def around(before: Views | None, k: int, level: Level, span, options: Options, b
     grid, shape = level_grid(span, level.scale, options.range.step), level.static.shape[1:]
     if before is None:
         return Candidates.all(grid, shape)
-    reach = round(UNITS * options.multiview.window)
-    return Candidates.of(grid, backend.windows(before.disparity[k], before.scale // level.scale, grid, reach, shape))
+    reach, ratio = round(UNITS * options.multiview.window), before.scale // level.scale
+    active = backend.windows(before.disparity[k], ratio, grid, reach, options.multiview.spread, shape)
+    return Candidates.of(grid, active)
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:

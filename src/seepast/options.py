@@ -144,6 +144,7 @@ class MultiviewOptions(StageOptions):
         2, "", 1, 16, "views are first matched reduced this often, then at twice that size and so on"
     )
     window: float = option(4.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
+    spread: int = option(4, "px", 0, 16, "and of its neighbours that near: thin things are easily missed there")
     fine_views: bool = option(True, "", None, None, "all views are matched at full size; else only the wanted one")
     coarse_vote_gain: float = option(10.0, "", 0, 30, "vote_gain of views that were not")
     colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")

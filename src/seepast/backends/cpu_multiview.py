@@ -38,9 +38,11 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     return Features(planes, unclear)
 
 
-def windows(disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, shape: tuple[int, ...]) -> np.ndarray:
+def windows(
+    disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, spread: int, shape: tuple[int, ...]
+) -> np.ndarray:
     active = np.empty(shape, np.uint64)
-    _core.windows(disparity, ratio, _grid(grid), reach, active)
+    _core.windows(disparity, ratio, _grid(grid), reach, spread, active)
     return active
 
 
