@@ -146,7 +146,7 @@ def test_segformer_comes_back_from_a_quarter_without_a_shift(tmp_path: Path) -> 
 
 
 def test_a_model_that_says_nothing_about_its_shape_learns_it_from_its_output(tmp_path: Path) -> None:
-    more = {"size": ("h", "w"), "declare": False}
+    more = {"size": ("h", "w"), "declare": False, "pool": 16}
     net = classes_net(tmp_path / "net.onnx", {12: (5, 0, 0)}, 150, **more)
     with pytest.raises(ModelError, match=r"net.onnx: its shapes do not tell .* onnx:MODEL.onnx:segformer.*yolo-e2e"):
         OnnxSegmenter(net)

@@ -165,7 +165,7 @@ def test_a_run_with_files_cannot_be_gone_on_with_by_a_network(
     assert json.loads((out / "run.json").read_text())["segmenter"] is None
     assert run(recording, out, "--masks", "none") == 0
     assert run(recording, out, "--segmenter", f"{own(tmp_path)}:bright") == 2
-    assert "segmenter.kind: None there, " in capsys.readouterr().err
+    assert f"segmenter: files there, {tmp_path}/own.py:bright now" in capsys.readouterr().err
 
 
 def test_another_file_of_ones_own_is_another_segmenter(recording: Path, tmp_path: Path, capsys) -> None:
