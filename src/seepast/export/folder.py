@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 RUN_FILE = "run.json"
 CAMERA_FILE = "camera.yaml"
-RUN_FILE_EVERY = 2.0  # seconds between two versions of run.json while frames come in
+RUN_FILE_EVERY = 5.0  # seconds between two versions of run.json while frames come in
 MAX_DEPTH_MM = 65535  # 16UC1; what lies farther is written as unknown, never as a wrong distance
 
 
