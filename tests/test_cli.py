@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,9 @@ class FakeReconstructor:
             options=self.settings["options"],
             backend="reference",
         )
+
+    def stream(self, frames: Any) -> Iterator[Result]:
+        return (self(*frame) for frame in frames)
 
 
 @pytest.fixture(autouse=True)
