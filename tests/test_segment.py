@@ -102,6 +102,12 @@ def test_what_is_no_probability_is_refused(tmp_path: Path) -> None:
         OnnxSegmenter(net, "people")([picture()])
 
 
+def test_a_network_gone_astray_is_refused(tmp_path: Path) -> None:
+    net = classes_net(tmp_path / "net.onnx", {PERSON: (float("nan"), 0, 0)}, size=(32, 32))
+    with pytest.raises(ModelError, match="its output holds NaN or infinities"):
+        OnnxSegmenter(net)([picture()])
+
+
 def test_classes_make_no_sense_for_a_network_that_knows_people_only(tmp_path: Path) -> None:
     net = nets.selfie(tmp_path / "net.onnx", WEIGHTS)
     assert OnnxSegmenter(net, classes=["person"]).preset_name == "selfie"
@@ -227,6 +233,12 @@ def test_mask_rcnn_of_torchvision_has_masks_of_the_whole_image(tmp_path: Path) -
     assert segment.preset_name == "maskrcnn"
     assert np.abs(mask.astype(int) - expected).max() <= 1
     assert OnnxSegmenter(net, None, ["bicycle"])([image])[0].max() == 0
+
+
+def test_boxes_that_are_no_boxes_are_left_out(tmp_path: Path) -> None:
+    boxes = np.array([(np.nan, 0, 20, 20), (30, 30, 10, 10), (-1e6, -1e6, -1e5, -1e5), (0, 0, 0, 0)])
+    net = nets.mask_rcnn(tmp_path / "n.onnx", boxes, [1] * 4, [0.9] * 4, np.ones((4, 1, 28, 28), np.float32))
+    assert OnnxSegmenter(net)([picture()])[0].max() == 0
 
 
 def test_a_network_that_sees_nothing_leaves_nothing_dynamic(tmp_path: Path) -> None:

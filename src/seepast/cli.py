@@ -128,7 +128,7 @@ def run(
 
     options = Options.preset(preset).updated(_assignments(set_ or []))
     settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
-    network = opened_segmenter(segmenter, classes, masks)
+    network = opened_segmenter(segmenter, classes, masks, threads)
     paths = source.find(dataset)
     failed = 0
     for path in paths:
