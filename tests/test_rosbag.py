@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import shutil
 from pathlib import Path
@@ -97,12 +98,17 @@ def test_a_run_on_a_bag_is_the_run_on_its_images_in_folders(tmp_path: Path) -> N
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
-def test_check_shows_the_skew_and_refocus_reads_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    bag = make(tmp_path / "r", "rosbag1", {topic(k): shots(k) for k in range(3)})
+def test_check_shows_skew_and_losses_and_refocus_reads_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    topics = {topic(k): shots(k) for k in range(3)}
+    del topics[topic(1)][2]
+    bag = make(tmp_path / "r", "rosbag1", topics)
     assert main(["check", str(bag), "--masks", "none", "--json"]) == 0
-    assert "3.50 ms in the median" in capsys.readouterr().out
+    checks = json.loads(capsys.readouterr().out)["checks"]
+    assert "3.50 ms in the median" in checks["time-stamp skew"]["value"]
+    assert checks["dropped images"]["value"] == "2 of 17; 2 images: cam1 has no image within 5 ms"
+    assert checks["dropped images"]["verdict"] == "doubtful" and checks["dropped images"]["images"] == 2
     assert main(["refocus", str(bag), "--out", str(tmp_path / "o"), "--depth", "5"]) == 0
-    assert len(list((tmp_path / "o").glob("*.png"))) == len(STAMPS)
+    assert len(list((tmp_path / "o").glob("*.png"))) == len(STAMPS) - 1
 
 
 RAW = {

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ..datasets import Dropped
 from ..geometry import ArrayGeometry
 from ..matching import Matches
 from ..rectify import MIN_MATCHES
@@ -163,3 +164,22 @@ def skew_line(times: np.ndarray, names: Sequence[str], geometry: ArrayGeometry, 
         moved_px=moved,
         late_ms=(1000 * late).tolist(),
     )
+
+
+def dropped_lines(dropped: Sequence[Dropped] | None, kept: int) -> list[Line]:
+    """How many images belong to no frame, beside `kept` that do; no line for readers that drop none (None)."""
+    if dropped is None:
+        return []
+    lost = sum(part.images for part in dropped)
+    share = lost / (lost + kept)
+    return [
+        line(
+            "dropped images",
+            f"{lost} of {lost + kept}" + "".join(f"; {part}" for part in dropped),
+            verdict_of(share, 0.02, 0.2),
+            "trigger the cameras together, set one clock and record at a rate that the disk bears; or see --tolerance",
+            images=lost,
+            share=share,
+            reasons={part.reason: part.images for part in dropped},
+        )
+    ]
