@@ -8,6 +8,7 @@ import logging
 import signal
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,6 +20,7 @@ from .commands.console import progress as _progress
 from .commands.export import export
 from .commands.segmenting import Classes, SegmenterName, opened_segmenter
 from .commands.source import GUESSED, Source
+from .commands.watching import UNSEEN, Viewing
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -91,6 +93,7 @@ def run(
     overwrite: Flag = False,
     json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     source: Source = GUESSED,
+    viewing: Viewing = UNSEEN,
 ) -> int:
     """Reconstruct the static scene of every frame of a recording.
 
@@ -131,27 +134,35 @@ def run(
     network = opened_segmenter(segmenter, classes, masks, threads)
     paths = source.find(dataset)
     failed = 0
-    for path in paths:
-        target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
-        try:
-            recording = source.open(path, NO_MASKS if network else masks)
-            if network:
-                recording = SegmentedDataset(recording, network)
-            with _progress(recording.name, len(recording.stamps)) as advance:
-                summary = process(recording, target, settings, on_frame=advance)
-        except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
-            if len(paths) == 1:
-                raise
-            failed += 1
-            _say_error(error)
-            continue
-        print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
+    with viewing.watch(len(paths), overwrite) as watched:
+        for path in paths:
+            target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
+            try:
+                given = NO_MASKS if network else masks
+                recording = source.open(path, given)
+                if network:
+                    recording = SegmentedDataset(recording, network)
+                again = partial(source.open, path, given)
+                with (
+                    _progress(recording.name, len(recording.stamps)) as advance,
+                    watched.run(recording.name, target, again, advance) as on_frame,
+                ):
+                    summary = process(recording, target, settings, on_frame=on_frame)
+            except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
+                if len(paths) == 1:
+                    raise
+                failed += 1
+                _say_error(error)
+                continue
+            print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
+        watched.wait()
     return EXIT_ERROR if failed else 0
 
 
 app.command("seepast.commands.check:check")
 app.command("seepast.commands.refocus:refocus")
 app.command("seepast.commands.epi:epi")
+app.command("seepast.commands.view:view")
 app.command("seepast.commands.models:models")
 app.command(export)
 
