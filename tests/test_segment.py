@@ -205,7 +205,7 @@ def test_mask_rcnn_of_the_zoo_is_pasted_into_its_boxes(tmp_path: Path) -> None:
     masks = np.zeros((4, 1, 28, 28), np.float32)
     masks[0, 0, :, :14] = 0.8  # a person's left half
     masks[1:] = 1.0
-    boxes = 20 * np.array([(10, 8, 38, 36), (40, 10, 50, 20), (2, 2, 8, 8), (50, 30, 58, 38)])
+    boxes = 20 * np.array([(10, 8, 38, 36), (40, 10, 50, 20), (2, 2, 8, 8), (50.4, 30.4, 58.4, 38.4)])
     net = nets.mask_rcnn(tmp_path / "net.onnx", boxes, [1, 3, 1, 1], [0.9, 0.9, 0.4, 0.95], masks)
     segment = OnnxSegmenter(net)
     (mask,) = segment([picture(size)])
@@ -260,7 +260,11 @@ def yolo_rows(form: str) -> np.ndarray:
     person = ((*CENTRE, 0.9, 0.1, 1, 0), (*CENTRE[:3], 34.0, 0.7, 0.1, 1, 0))
     rows = [*person, (*CENTRE, 0.05, 0.8, 0, 1), (32, 32, 64, 64, 0.1, 0.1, 1, 0)]
     if form == "yolov5":
-        return np.array([(*row[:4], 1.0, *row[4:]) for row in rows])
+        return np.array(
+            [(*row[:4], 1.0, *row[4:]) for row in person]
+            + [(32, 32, 64, 64, 0.1, 1.0, 0, 1, 0)]
+            + [(*CENTRE, 0.9, 0.1, 0.9, 0, 1)]
+        )
     return np.array(rows + [(0,) * 8] * 8).T
 
 

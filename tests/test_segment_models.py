@@ -186,7 +186,7 @@ def test_get_leaves_it_where_the_segmenter_finds_it_by_name(
 
     server.body = onnx_nets.selfie(tmp_path / "made.onnx", (1, 0, 0)).read_bytes()
     sha256 = hashlib.sha256(server.body).hexdigest()
-    known = replace(server.model, bytes=len(server.body), sha256=sha256)
+    known = replace(server.model, bytes=len(server.body), sha256=sha256, preset="people")
     monkeypatch.setitem(models.MODELS, "mine", known)
     monkeypatch.setenv("SEEPAST_MODELS", str(tmp_path / "models"))
     with pytest.raises(ModelError, match="mine: not fetched yet; say `seepast models get mine` once"):
@@ -195,7 +195,7 @@ def test_get_leaves_it_where_the_segmenter_finds_it_by_name(
     assert cli.main(["models", "get", "mine"]) == 0
     assert capsys.readouterr().out.startswith(str(tmp_path / "models" / "mine.onnx"))
     said = open_segmenter("onnx:mine").describe()
-    assert (said["preset"], said["sha256"]) == ("selfie", sha256)
+    assert (said["preset"], said["sha256"]) == ("people", sha256)
     assert cli.main(["models", "get", "mine", "--to", str(tmp_path / "elsewhere")]) == 0
     assert (tmp_path / "elsewhere" / "mine.onnx").read_bytes() == server.body
 
