@@ -253,18 +253,15 @@ CENTRE = (32.0, 32.0, 36.0, 36.0)
 
 
 def yolo_rows(form: str) -> np.ndarray:
-    """Person, the same again, something else, a weak one elsewhere; two classes; the red prototype is their mask."""
+    """Person, the same again, something else, and a weak one whose mask is all that the person's is not; two classes."""
     if form == "yolo-e2e":
-        rows = [(*SEEN, 0.9, 0, 1, 0), (*SEEN, 0.8, 1, 0, 1), (0, 0, 64, 64, 0.1, 0, 1, 0)]
-        return np.array(rows)
-    person = ((*CENTRE, 0.9, 0.1, 1, 0), (*CENTRE[:3], 34.0, 0.7, 0.1, 1, 0))
-    rows = [*person, (*CENTRE, 0.05, 0.8, 0, 1), (32, 32, 64, 64, 0.1, 0.1, 1, 0)]
-    if form == "yolov5":
-        return np.array(
-            [(*row[:4], 1.0, *row[4:]) for row in person]
-            + [(32, 32, 64, 64, 0.1, 1.0, 0, 1, 0)]
-            + [(*CENTRE, 0.9, 0.1, 0.9, 0, 1)]
-        )
+        return np.array([(*SEEN, 0.9, 0, 1, 0), (*SEEN, 0.8, 1, 0, 1), (0, 0, 64, 64, 0.1, 0, -1, 0)])
+    rows = [
+        (*CENTRE, 0.9, 0.1, 1, 0), (*CENTRE[:3], 34.0, 0.7, 0.1, 1, 0), (*CENTRE, 0.05, 0.8, 0, 1),
+        (32, 32, 64, 64, 0.1, 0.1, -1, 0),
+    ]  # fmt: skip
+    if form == "yolov5":  # the weak one is a person for sure, if it is anything
+        return np.array([(*row[:4], 1.0, *row[4:]) for row in rows[:3]] + [(32, 32, 64, 64, 0.1, 1.0, 0, -1, 0)])
     return np.array(rows + [(0,) * 8] * 8).T
 
 
