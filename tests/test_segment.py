@@ -15,6 +15,7 @@ from seepast.errors import MissingExtraError, ModelError, OptionsError
 from seepast.segment import PRESETS, OnnxSegmenter, classes, open_segmenter
 from seepast.segment.decode import Detections, distinct
 from seepast.segment.prepare import Preparation
+from seepast.segment.presets import Signature, Tensor, guess_preset
 
 WEIGHTS = (0.6, 0.3, 0.1)  # of red, green, blue: no two alike, so that a swap shows
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -253,7 +254,7 @@ CENTRE = (32.0, 32.0, 36.0, 36.0)
 
 
 def yolo_rows(form: str) -> np.ndarray:
-    """Person, the same again, something else, and a weak one whose mask is all that the person's is not; two classes."""
+    """Person, the same again, something else, and a weak one whose mask is all that the person's is not."""
     if form == "yolo-e2e":
         return np.array([(*SEEN, 0.9, 0, 1, 0), (*SEEN, 0.8, 1, 0, 1), (0, 0, 64, 64, 0.1, 0, -1, 0)])
     rows = [
@@ -306,6 +307,37 @@ def test_overlapping_boxes_of_one_class_are_one_object() -> None:
     boxes = np.array([(0, 0, 10, 10), (0, 1, 10, 10), (0, 0, 10, 10), (0, 6, 10, 16), (0, 0, 10, 10)], float)
     found = Detections(boxes, np.array([0, 0, 1, 0, 0]), np.array([0.5, 0.9, 0.8, 0.7, 0.01]), np.arange(5))
     assert distinct(found).masks.tolist() == [1, 2, 3]
+
+
+# ------------------------------------------------------------------------- presets of networks as people have them
+@pytest.mark.parametrize(
+    ("taken", "given", "preset"),
+    [
+        ((1, 256, 256, 3), [(1, 256, 256, 1)], "selfie"),
+        ((1, 3, 192, 192), [(1, 2, 192, 192)], "pphumanseg"),
+        ((None, 3, 520, 520), [(None, 21, 520, 520), (None, 21, 520, 520)], "deeplab"),
+        ((None, 3, None, None), [(None, 21, None, None)], "deeplab"),
+        ((1, 257, 257, 3), [(1, 257, 257, 21)], "deeplab-tf"),
+        ((None, 3, 512, 512), [(None, 150, 128, 128)], "segformer"),
+        ((1, 3, 1024, 1024), [(1, 19, 256, 256)], "segformer"),
+        ((3, None, None), [(None, 4), (None,), (None,), (None, 1, None, None)], "maskrcnn"),
+        ((3, None, None), [(None, 4), (None,), (None,), (None, 1, 28, 28)], "maskrcnn-zoo"),
+        ((1, 3, 640, 640), [(1, 116, 8400), (1, 32, 160, 160)], "yolo"),
+        ((1, 3, 640, 640), [(1, 25200, 117), (1, 32, 160, 160)], "yolov5"),
+        ((1, 3, 640, 640), [(1, 300, 38), (1, 32, 160, 160)], "yolo-e2e"),
+        ((1, 3, 640, 640), [(1, 84, 8400)], None),  # YOLO without segments
+        ((1, 3, 320, 320), [(1, 1, 320, 320)], None),  # could be normalised in many ways
+        ((1, 3, 224, 224), [(1, 1000)], None),
+    ],
+)
+def test_the_preset_is_guessed_where_the_shapes_allow_one_only(taken, given, preset) -> None:
+    outputs = tuple(Tensor(f"o{i}", shape, "float32") for i, shape in enumerate(given))
+    signature = Signature(Tensor("image", taken, "float32"), outputs)
+    if preset is not None:
+        assert guess_preset(signature) == preset
+    else:
+        with pytest.raises(ModelError, match="its shapes do not tell what kind of network it is"):
+            guess_preset(signature)
 
 
 # ------------------------------------------------------------------------------------ classes by name
