@@ -98,6 +98,16 @@ def test_a_run_on_a_bag_is_the_run_on_its_images_in_folders(tmp_path: Path) -> N
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
+def test_a_run_does_not_go_on_with_other_topics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = make(tmp_path / "r", "sqlite3", {topic(k): shots(k, range(1)) for k in range(3)})
+    arguments = ["run", str(bag), "--out", str(tmp_path / "o"), "--preset", "paper", "--masks", "none"]
+    assert main(arguments) == 0 and main(arguments) == 0
+    reading = json.loads((tmp_path / "o" / "run.json").read_text())["reading"]
+    assert reading == {"reader": "rosbag", "topics": [topic(k) for k in range(3)], "tolerance": 0.005}
+    assert main([*arguments, "--topics", f"{topic(1)},{topic(0)},{topic(2)}"]) == 2
+    assert "holds the frames of another run (reading: " in capsys.readouterr().err
+
+
 def test_check_shows_skew_and_losses_and_refocus_reads_bags(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     topics = {topic(k): shots(k) for k in range(3)}
     del topics[topic(1)][2]

@@ -131,6 +131,7 @@ def describe_run(dataset: Dataset, settings: Settings) -> Run:
         dynamic_only=settings.dynamic_only,
         options=settings.options.flat(),
         segmenter=dataset.segmenter.describe() if isinstance(dataset, SegmentedDataset) else None,
+        reading=getattr(dataset, "reading", None),
     )
 
 

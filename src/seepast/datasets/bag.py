@@ -69,7 +69,7 @@ def _is_one_bag(path: Path) -> bool:
 class Bag:
     """A bag of one or several files, open for reading. Raises DatasetError, MissingExtraError without rosbags.
 
-    topics  message type of every topic
+    topics  message type of every topic; parts  number of its files
     """
 
     def __init__(self, path: Path):
@@ -85,7 +85,7 @@ class Bag:
             with self._reading(part):
                 self._readers.append(stack.enter_context(_reader(part)))
         self._deserialize = [_deserializer(part) for part in parts]
-        self._parts = parts
+        self._parts, self.parts = parts, len(parts)
         self._stamped = True
         self.topics: dict[str, str] = {c.topic: c.msgtype for reader in self._readers for c in reader.connections}
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -84,6 +85,7 @@ class Recording(ABC):
 
     times: np.ndarray | None = None
     dropped: tuple[Dropped, ...] = ()
+    reading: Mapping[str, Any] | None = None
 
     def __init__(self, path: Path, rig: Rig, rig_file: Path, stamps: Sequence[str], masks: Path | None):
         self.path = path

@@ -62,6 +62,8 @@ class RosbagDataset(Recording):
         where = Path(f"{path}#{','.join(mask_topics)}") if mask_topics else mask_path(path, options.masks)
         super().__init__(path, rig, rig_file, [_stamp_name(time) for time in times[:, 0]], where)
         self.times, self.dropped = times, dropped
+        reader = "rosbag-split" if self._bag.parts > 1 else "rosbag"
+        self.reading = {"reader": reader, "topics": topics, "tolerance": tolerance / 1e9}
         self._folder = None
         if where is not None and not mask_topics:
             choices = [[(stamp, _stamp_name(t)) for stamp, t in zip(self.stamps, own, strict=True)] for own in times.T]

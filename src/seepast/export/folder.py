@@ -44,6 +44,7 @@ class Run:
     dynamic_only  only pixels that a person hides are synthesised
     options       flat, "stage.field" -> value
     segmenter     what made the masks, as it describes itself (with the SHA-256 of its model); None: files
+    reading       what was chosen on opening the recording (reader, topics, tolerance); None: there is no choice
     """
 
     seepast: str
@@ -55,6 +56,7 @@ class Run:
     dynamic_only: bool
     options: Mapping[str, Any]
     segmenter: Mapping[str, Any] | None = None
+    reading: Mapping[str, Any] | None = None
 
 
 class FolderWriter:
