@@ -5,6 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +19,8 @@ from recordings import SIZE, write_recording
 from seepast import cli
 from seepast.datasets import NO_MASKS, open_dataset
 from seepast.errors import InputError, ModelError
-from seepast.segment import SegmentedDataset, open_segmenter
+from seepast.segment import PRESETS, SegmentedDataset, open_segmenter
+from seepast.segment.models import MODELS
 
 OWN = """
 import numpy as np
@@ -206,3 +210,23 @@ def test_check_looks_at_the_masks_of_a_network(recording: Path, tmp_path: Path, 
     )
     assert cli.main(["check", str(recording), "--segmenter", f"{tmp_path / 'half.py'}:f"]) == 0
     assert "25.0 % dynamic" in capsys.readouterr().out
+
+
+def test_the_readme_does_as_it_says(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
+    section = readme.partition("## Your own segmentation network\n")[2].partition("\n## ")[0]
+    commands = re.findall(r"^    seepast (.+?)(?:  .*)?$", section, re.MULTILINE)
+    assert len(commands) >= 7 and all(f"`{preset}`" in section for preset in PRESETS)
+
+    recording.rename(tmp_path / "recording")
+    (tmp_path / "mine.py").write_text(section.partition("```python\n")[2].partition("```")[0])
+    nets.logits(tmp_path / "net.onnx", np.eye(19, 3), (64, 64))
+    fetched = nets.logits(tmp_path / "pphumanseg.onnx", np.eye(2, 3), (192, 192), batch=1)
+    known = replace(MODELS["pphumanseg"], sha256=hashlib.sha256(fetched.read_bytes()).hexdigest())
+    monkeypatch.setitem(MODELS, "pphumanseg", known)
+    monkeypatch.setenv("SEEPAST_MODELS", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    for command in commands:
+        words = command.split()
+        assert cli.main(words + ["--preset", "paper"] * (words[0] == "run")) == 0, command
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
