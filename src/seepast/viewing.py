@@ -97,7 +97,7 @@ class RunLogger:
 
     def _log_array(self, view: View) -> None:
         rr, log = self._rr, self._stream.log
-        self._stream.send_blueprint(blueprint(view.cameras))
+        self._stream.send_blueprint(blueprint(view))
         log("world", rr.ViewCoordinates.RDF, static=True)
         for name, position in zip(view.cameras, view.positions, strict=True):
             log(f"world/{name}", rr.Transform3D(translation=position), static=True)
@@ -180,8 +180,8 @@ def scene_points(frame: Written, view: View, most: int = MAX_POINTS) -> tuple[np
     return view.points(frame.depth)[known], colour(frame.background)[known][:, ::-1]
 
 
-def blueprint(cameras: tuple[str, ...]) -> Any:
-    """Where everything stands on the screen."""
+def blueprint(view: View) -> Any:
+    """Where everything stands on the screen; the points are seen from behind and above the array."""
     rrb = require("rerun.blueprint", "view", "the viewer")
 
     def over_inputs(kind: str) -> Any:
@@ -189,7 +189,7 @@ def blueprint(cameras: tuple[str, ...]) -> Any:
             rrb.Spatial2DView(
                 origin=f"input/{name}", contents=[f"input/{name}", f"masks_{kind}/{name}"], name=f"{name}, mask {kind}"
             )
-            for name in cameras
+            for name in view.cameras
         ]
         return rrb.Horizontal(*views)
 
@@ -201,7 +201,11 @@ def blueprint(cameras: tuple[str, ...]) -> Any:
             ("coverage", "coverage, red: unseen"),
         )
     ]
-    world = rrb.Spatial3DView(origin="world", name="static points")
+    middle, b = view.positions.mean(axis=0), view.baseline
+    eye = rrb.EyeControls3D(
+        position=middle + (2 * b, -2 * b, -3 * b), look_target=middle + (0, 0, 8 * b), eye_up=(0, -1, 0)
+    )
+    world = rrb.Spatial3DView(origin="world", name="static points", eye_controls=eye)
     times = rrb.TimeSeriesView(origin="milliseconds", name="milliseconds per stage")
     rows = rrb.Vertical(
         over_inputs("before"),
