@@ -35,6 +35,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast check recording                       are files and calibration fit?
   seepast run recording --out out               the static scene of every frame
   seepast run recordings --out out --masks net  a folder of them, other masks
+  seepast run walk.bag --out out --masks none   ROS bag, EuRoC, videos
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
@@ -46,7 +47,8 @@ HELP = "\n\n".join(
     (
         "See past people with a camera array: the static scene's image, disparity and masks of one instant.",
         "A recording is a folder with rig.yaml (Kalibr), cam0/<stamp>.png, cam1/<stamp>.png ... and "
-        "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic).",
+        "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic); or a ROS bag, an EuRoC folder, "
+        "videos cam0.mp4 ..., a Middlebury folder.",
         "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
         "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
     )
@@ -69,7 +71,7 @@ Backend = Literal["auto", "cpu", "reference"]
 Masks = Annotated[
     str | None,
     Parameter(
-        help="Folder of masks in the dataset (default: masks); 'none': no masks.",
+        help="Folder of masks in the dataset (default: masks); 'none': no masks; in ROS bags also topics:A,B,C.",
         show_default=False,
     ),
 ]
