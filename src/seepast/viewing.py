@@ -202,9 +202,8 @@ def blueprint(view: View) -> Any:
         )
     ]
     middle, b = view.positions.mean(axis=0), view.baseline
-    eye = rrb.EyeControls3D(
-        position=middle + (2 * b, -2 * b, -3 * b), look_target=middle + (0, 0, 8 * b), eye_up=(0, -1, 0)
-    )
+    behind, ahead = b * np.array([2.0, -2.0, -3.0]), b * np.array([0.0, 0.0, 8.0])
+    eye = rrb.EyeControls3D(position=middle + behind, look_target=middle + ahead, eye_up=(0, -1, 0))
     world = rrb.Spatial3DView(origin="world", name="static points", eye_controls=eye)
     times = rrb.TimeSeriesView(origin="milliseconds", name="milliseconds per stage")
     rows = rrb.Vertical(
