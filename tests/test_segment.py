@@ -8,6 +8,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
+import onnxruntime
 import pytest
 
 import onnx_nets as nets
@@ -200,6 +202,15 @@ def test_all_views_go_in_one_batch_where_the_model_allows_it(tmp_path: Path, mon
     assert all(np.array_equal(mask, alone) for mask, alone in zip(masks, one_by_one, strict=True))
 
 
+def test_a_model_that_only_pretends_to_take_batches(tmp_path: Path, caplog) -> None:
+    net = nets.pretender(tmp_path / "net.onnx", (32, 32))
+    segment = OnnxSegmenter(net, "selfie")
+    images = [np.full((20, 24, 3), grey, np.uint8) for grey in (0, 102, 255)]
+    for _ in range(2):
+        assert [int(mask.mean()) for mask in segment(images)] == [0, 102, 255]
+    assert caplog.text.count("takes images only one by one, though its shapes say otherwise") == 1
+
+
 # ------------------------------------------------------------------------------------------ instances
 def test_mask_rcnn_of_the_zoo_is_pasted_into_its_boxes(tmp_path: Path) -> None:
     size = (60, 40)  # goes in 20 times as large, 1200x800, and padded to 1216x800
@@ -386,6 +397,41 @@ def test_it_describes_itself_by_the_hash_of_its_model(tmp_path: Path) -> None:
         "kind": "onnx", "model": str(net.resolve()), "sha256": hashlib.sha256(net.read_bytes()).hexdigest(),
         "preset": "deeplab", "provider": "CPU", "classes": ["person", "7"],
     }  # fmt: skip
+
+
+def test_weights_in_a_file_beside_it_count_too(tmp_path: Path) -> None:
+    path = nets.selfie(tmp_path / "net.onnx", WEIGHTS)
+    before = open_segmenter(f"onnx:{path}")([picture()])
+    onnx.save_model(onnx.load(path), path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+    segment = open_segmenter(f"onnx:{path}")
+    data = tmp_path / "net.onnx.data"
+    assert segment.describe()["data_sha256"] == hashlib.sha256(data.read_bytes()).hexdigest()
+    assert np.array_equal(before, segment([picture()]))
+
+
+@pytest.mark.parametrize(
+    ("there", "wanted"),
+    [
+        (["AzureExecutionProvider", "CPUExecutionProvider"], ["CPU"]),
+        (["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"], ["CUDA", "CPU"]),
+        (["CPUExecutionProvider", "CoreMLExecutionProvider"], ["CoreML", "CPU"]),
+    ],
+)
+def test_the_best_processor_that_is_there_runs_it(tmp_path: Path, monkeypatch, caplog, there, wanted) -> None:
+    asked: list[list[str]] = []
+    session = onnxruntime.InferenceSession
+
+    def opened(path: str, options: object, providers: list[str]) -> object:
+        asked.append(providers)
+        return session(path, options, providers=["CPUExecutionProvider"])
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: there)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", opened)
+    monkeypatch.setattr(onnxruntime, "preload_dlls", lambda: asked.append(["preloaded"]), raising=False)
+    OnnxSegmenter(nets.selfie(tmp_path / "net.onnx", WEIGHTS))
+    assert asked[-1] == [f"{name}ExecutionProvider" for name in wanted]
+    assert (["preloaded"] in asked) == ("CUDA" in wanted)
+    assert ("does not start; CPUExecutionProvider runs it" in caplog.text) == (len(wanted) > 1)
 
 
 def test_letterboxes_of_odd_sizes_keep_the_middle() -> None:

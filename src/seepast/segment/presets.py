@@ -10,9 +10,8 @@ from .prepare import Preparation
 
 Shape = tuple[int | None, ...]  # None: the model leaves this axis open
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-IMAGENET = Preparation(mean=IMAGENET_MEAN, std=IMAGENET_STD)
-ZERO_TO_ONE = Preparation()
-MINUS_ONE_TO_ONE = Preparation(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
+HALF = (0.5, 0.5, 0.5)
+IMAGENET = Preparation(mean=IMAGENET_MEAN, std=IMAGENET_STD, size=(512, 512))
 YOLO = Preparation(fit="letterbox", size=(640, 640))
 
 
@@ -83,11 +82,17 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "selfie": Preset("MediaPipe selfie: P(person), RGB in 0..1", "people", ZERO_TO_ONE),
-    "pphumanseg": Preset("PP-HumanSeg: background and person, RGB in -1..1", "people", MINUS_ONE_TO_ONE),
+    "selfie": Preset("MediaPipe selfie: P(person), RGB in 0..1", "people", Preparation(size=(256, 144))),
+    "pphumanseg": Preset(
+        "PP-HumanSeg: background and person, RGB in -1..1", "people", Preparation(mean=HALF, std=HALF, size=(192, 192))
+    ),
     "people": Preset("P(person), RGB normalised as ImageNet", "people", IMAGENET),
     "deeplab": Preset("DeepLab, FCN of torchvision: class logits, RGB normalised as ImageNet", "classes", IMAGENET),
-    "deeplab-tf": Preset("DeepLab of TensorFlow: class logits or labels, RGB in -1..1", "classes", MINUS_ONE_TO_ONE),
+    "deeplab-tf": Preset(
+        "DeepLab of TensorFlow: class logits or labels, RGB in -1..1",
+        "classes",
+        Preparation(mean=HALF, std=HALF, size=(513, 513)),
+    ),
     "segformer": Preset("SegFormer: class logits, RGB normalised as ImageNet", "classes", IMAGENET),
     "maskrcnn": Preset("Mask R-CNN of torchvision, RGB in 0..1", "instances", Preparation(fit="none"), COCO_CATEGORIES),
     "maskrcnn-zoo": Preset(
