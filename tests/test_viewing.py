@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from pathlib import Path
 from typing import Any
@@ -178,4 +179,6 @@ def test_the_page_is_served_to_this_machine_only(run: Path, capsys: pytest.Captu
             assert b"rerun" in page.read().lower()
         assert cli.main(["view", str(run), "--port", str(min(ports))]) == 2
         assert "taken" in capsys.readouterr().err
-    assert server.process.poll() is not None
+    for port in ports:
+        with socket.socket() as probe:
+            assert probe.connect_ex(("127.0.0.1", port)) != 0, "nothing is left running"

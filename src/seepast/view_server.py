@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -47,18 +49,23 @@ def view_server(web_port: int = WEB_PORT) -> Iterator[ViewServer]:
     grpc_port = _free_port()
     command = [sys.executable, "-m", "rerun", "--serve-web", "--bind", HOST, "--hide-welcome-screen"]
     command += ["--web-viewer-port", str(web_port), "--port", str(grpc_port)]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    nowhere = subprocess.DEVNULL
+    process = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True)
     try:
         _wait_for(process, (web_port, grpc_port))
         grpc = f"rerun+http://{HOST}:{grpc_port}/proxy"
         yield ViewServer(f"http://{HOST}:{web_port}/?url={quote(grpc, safe='')}", grpc, process)
     finally:
-        process.terminate()
-        try:
+        _end(process)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """`python -m rerun` starts the server proper as a child of its own: both must go."""
+    for blow in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, blow)
+        with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(5)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:

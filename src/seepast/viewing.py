@@ -79,14 +79,18 @@ class RunLogger:
         if new and self._folder is None:
             self._folder = _GrowingRun(self.out)
             self._log_array(self._folder.view)
+        times = self._milliseconds()
         for stamp in new:
             assert self._folder is not None
             self._stamps.append(stamp)
             self._at(stamp)
             self._log_inputs(stamp)
             self._log_frame(self._folder.frame(stamp), self._folder.view)
+            self._log_milliseconds(stamp, times)
             on_frame()
-        self._log_milliseconds()
+        late = [stamp for stamp in self._stamps[: len(logged)] if stamp not in self._timed]
+        for stamp in late:  # run.json tells the times after the frames are there
+            self._log_milliseconds(stamp, times)
         self._stream.flush()
         return len(new)
 
@@ -129,18 +133,20 @@ class RunLogger:
         points, colours = scene_points(frame, view)
         log("world/points", rr.Points3D(points, colors=colours))
 
-    def _log_milliseconds(self) -> None:
-        """run.json tells them, a few seconds later than the frames are there."""
+    def _milliseconds(self) -> dict[str, dict[str, float]]:
+        """Of every frame that run.json tells about by now."""
         try:
-            times = json.loads((self.out / RUN_FILE).read_text()).get("frame_milliseconds", {})
+            told = json.loads((self.out / RUN_FILE).read_text()).get("frame_milliseconds", {})
         except (OSError, ValueError):
-            return
-        for stamp in self._stamps:
-            if stamp in times and stamp not in self._timed:
-                self._timed.add(stamp)
-                self._at(stamp)
-                for stage, milliseconds in times[stamp].items():
-                    self._stream.log(f"milliseconds/{stage}", self._rr.Scalars(milliseconds))
+            return {}
+        return dict(told)
+
+    def _log_milliseconds(self, stamp: str, times: dict[str, dict[str, float]]) -> None:
+        if stamp in times:
+            self._timed.add(stamp)
+            self._at(stamp)
+            for stage, milliseconds in times[stamp].items():
+                self._stream.log(f"milliseconds/{stage}", self._rr.Scalars(milliseconds))
 
     def _jpeg(self, image: np.ndarray) -> Any:
         _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
