@@ -30,11 +30,14 @@ class Shot:
     padding: int = 0
 
 
-def write_bag(path: Path, kind: str, topics: Mapping[str, Sequence[Shot]]) -> Path:
-    """The bag at `path` (rosbag1: a .bag file; else a folder), messages in the order in which they were recorded."""
+def write_bag(path: Path, kind: str, topics: Mapping[str, Sequence[Shot]], compression: str = "") -> Path:
+    """The bag at `path` (rosbag1: a .bag file; else a folder), messages in the order in which they were recorded.
+
+    compression: "lz4" or "bz2" for rosbag1, "zstd" for the others.
+    """
     store = get_typestore(Stores.ROS1_NOETIC if kind == "rosbag1" else Stores.ROS2_HUMBLE)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with _writer(path, kind) as writer:
+    with _writer(path, kind, compression) as writer:
         messages = []
         for topic, shots in topics.items():
             msgtype = _message(store, shots[0], kind).__msgtype__ if shots else "sensor_msgs/msg/Image"
@@ -46,11 +49,18 @@ def write_bag(path: Path, kind: str, topics: Mapping[str, Sequence[Shot]]) -> Pa
     return path
 
 
-def _writer(path: Path, kind: str) -> Any:
+def _writer(path: Path, kind: str, compression: str) -> Any:
     if kind == "rosbag1":
-        return rosbag1.Writer(path)
+        writer: Any = rosbag1.Writer(path)
+        if compression:
+            writer.set_compression(rosbag1.Writer.CompressionFormat[compression.upper()])
+        return writer
     plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
-    return rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    if compression:
+        mode = rosbag2.CompressionMode.STORAGE if kind == "mcap" else rosbag2.CompressionMode.MESSAGE
+        writer.set_compression(mode, rosbag2.CompressionFormat[compression.upper()])
+    return writer
 
 
 def _message(store: Any, shot: Shot, kind: str) -> Any:

@@ -10,11 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from bags import KINDS, START, Shot, write_bag
 from recordings import SIZE, save, write_recording
 from seepast.cli import main
 from seepast.datasets import find_datasets, open_dataset
+from seepast.datasets.bag_file import BagFile
 from seepast.datasets.rosbag import RosbagDataset
 from seepast.errors import DatasetError, MissingExtraError, RigError
 from seepast.rig import Rig
@@ -311,6 +313,75 @@ def test_a_split_bag_is_read_as_one(tmp_path: Path) -> None:
     assert list(dataset.stamps) == [str(stamp) for stamp in STAMPS]
     for n, frame in enumerate(dataset):
         np.testing.assert_array_equal(frame.images[2], picture(2, n))
+
+
+def test_reading_goes_forward_without_seeking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    topics = {topic(k): shots(k) for k in range(3)}
+    dataset = open_dataset(make(tmp_path / "r", "rosbag1", topics), masks="none")
+    sought: list[int | None] = []
+    messages = BagFile.messages
+    monkeypatch.setattr(BagFile, "messages", lambda *a: (sought.append(a[2] if len(a) > 2 else None), messages(*a))[1])
+    for n, frame in enumerate(dataset):
+        np.testing.assert_array_equal(frame.images[1], picture(1, n))
+    assert len(sought) == 1
+    dataset.frame(str(STAMPS[1]))
+    dataset.frame(str(STAMPS[1]))
+    dataset.frame(str(STAMPS[4]))
+    assert len(sought) == 2, "only to go back"
+
+
+def test_images_recorded_late_or_in_another_order_are_found(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    delays = rng.integers(0, 6 * PERIOD, (3, 6))
+    topics = {
+        topic(k): [Shot(s.stamp, s.image, delay=int(d)) for s, d in zip(shots(k), delays[k], strict=True)]
+        for k in range(3)
+    }
+    for kind in KINDS:
+        dataset = open_dataset(make(tmp_path / kind, kind, topics), masks="none")
+        for n in (0, 1, 2, 3, 4, 5, 2, 0):
+            for k, image in enumerate(dataset.frame(str(STAMPS[n])).images):
+                np.testing.assert_array_equal(image, picture(k, n))
+
+
+def test_storage_files_that_overlap_in_time(tmp_path: Path) -> None:
+    """rosbags reads the files of a ROS 2 bag one after the other: the second begins before the first ends."""
+    bag = make(tmp_path / "r", "mcap", {topic(k): shots(k) for k in (0, 1)})
+    other = write_bag(tmp_path / "other", "mcap", {topic(2): shots(2)})
+    shutil.copy(next(other.glob("*.mcap")), bag / "other.mcap")
+    merged, second = (yaml.safe_load((folder / "metadata.yaml").read_text()) for folder in (bag, other))
+    ours, theirs = (m["rosbag2_bagfile_information"] for m in (merged, second))
+    ours["relative_file_paths"].append("other.mcap")
+    ours["topics_with_message_count"] += theirs["topics_with_message_count"]
+    ours["message_count"] += theirs["message_count"]
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(merged))
+    dataset = open_dataset(bag, masks="none")
+    assert list(dataset.stamps) == [str(stamp) for stamp in STAMPS]
+    for n, frame in enumerate(dataset):
+        for k in range(3):
+            np.testing.assert_array_equal(frame.images[k], picture(k, n))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_is_closed_with_its_dataset(kind: str, tmp_path: Path) -> None:
+    dataset = open_dataset(make(tmp_path / "r", kind, {topic(k): shots(k) for k in range(3)}), masks="none")
+    assert isinstance(dataset, RosbagDataset)
+    dataset.frame(str(STAMPS[1]))  # reading stopped midway
+    closed = dataset._bag.close
+    del dataset
+    assert not closed.alive
+
+
+@pytest.mark.parametrize("kind", ["rosbag1-lz4", "rosbag1-bz2", "sqlite3-zstd", "mcap-zstd"])
+def test_compressed_bags(kind: str, tmp_path: Path) -> None:
+    format_, _, compression = kind.partition("-")
+    topics = {topic(k): shots(k) for k in range(3)}
+    make(tmp_path / "r", format_, topics)
+    name = "packed.bag" if format_ == "rosbag1" else "packed"
+    bag = write_bag(tmp_path / "r" / name, format_, topics, compression)
+    frames = list(open_dataset(bag, masks="none"))
+    assert len(frames) == len(STAMPS)
+    np.testing.assert_array_equal(frames[3].images[2], picture(2, 3))
 
 
 def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import DatasetError
-from .bag import Bag, Entry, TopicIndex
+from .bag import Bag, TopicIndex
+from .bag_file import Entry
 from .grouping import grouped, log_dropped, nanoseconds
 from .protocol import Dropped, OpenOptions
 from .recording import MaskFolder, Recording, find_rig, mask_path
@@ -77,14 +78,17 @@ class RosbagDataset(Recording):
         log_dropped(path, dropped, sum(len(index[topic].stamps) + index[topic].repeated for topic in topics))
 
     def _images(self, index: int) -> Sequence[np.ndarray]:
-        messages = self._bag.fetch([stream.entry(index) for stream in self._streams])
-        return [decode_message(self._where(k, index), message) for k, message in enumerate(messages)]
+        streams = self._streams + self._mask_streams  # at one go, which reads forward only
+        messages = self._bag.fetch([stream.entry(index) for stream in streams])
+        self._mask_messages = messages[len(self._streams) :]
+        own = messages[: len(self._streams)]
+        return [decode_message(self._where(k, index), message) for k, message in enumerate(own)]
 
     def _masks(self, index: int) -> Sequence[np.ndarray]:
         if not self._mask_streams:
             return [self._folder.read(k, index) for k in range(len(self.rig))]
-        messages = self._bag.fetch([stream.entry(index) for stream in self._mask_streams])
-        masks = [decode_message(f"{self._where(k, index)}, its mask", m) for k, m in enumerate(messages)]
+        messages = enumerate(self._mask_messages)
+        masks = [decode_message(f"{self._where(k, index)}, its mask", message) for k, message in messages]
         for k, mask in enumerate(masks):
             if mask.ndim != 2:
                 raise DatasetError(f"{self._where(k, index)}, its mask: in colour; a mask is mono8, 255 * P(dynamic)")
