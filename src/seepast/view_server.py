@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 from urllib.parse import quote
 
 from .errors import OutputError
@@ -33,6 +34,16 @@ class ViewServer:
         """Until the server ends, or Ctrl-C, which is how one leaves it."""
         with contextlib.suppress(KeyboardInterrupt):
             self.process.wait()
+
+
+@contextlib.contextmanager
+def connected(stream: Any, server: ViewServer) -> Iterator[None]:
+    """What is logged to the rerun.RecordingStream within goes to `server`; to be left before the server ends."""
+    stream.connect_grpc(server.grpc)
+    try:
+        yield
+    finally:
+        stream.disconnect()
 
 
 @contextlib.contextmanager

@@ -57,7 +57,7 @@ def view(
         Replace the file if it is there.
     """
     from ..export.reading import RunFolder
-    from ..view_server import view_server
+    from ..view_server import connected, view_server
     from ..viewing import RunLogger, recording_stream, saved
 
     run = RunFolder(out)
@@ -68,8 +68,7 @@ def view(
             frames = logger.log_new(advance)
         print(f"{out}: {count(frames, 'frame')}, {save}")
         return 0
-    with view_server(port) as server:
-        stream.connect_grpc(server.grpc)
+    with view_server(port) as server, connected(stream, server):
         print(f"{out}: {count(len(run.stamps), 'frame')} at {server.page} ; Ctrl-C ends it", flush=True)
         with progress(out.name, len(run.stamps)) as advance:
             logger.log_new(advance)

@@ -41,6 +41,7 @@ class Watch:
         if self.server is None and self.save is None:
             yield advance
             return
+        from ..view_server import connected
         from ..viewing import RunLogger, recording_stream, saved
 
         stream = recording_stream(name)
@@ -49,7 +50,7 @@ class Watch:
                 stack.enter_context(saved(stream, self.save, self.overwrite))
             else:
                 assert self.server is not None
-                stream.connect_grpc(self.server.grpc)
+                stack.enter_context(connected(stream, self.server))
             logger = RunLogger(out, stream, again())
 
             def on_frame() -> None:
