@@ -33,8 +33,9 @@ class Forward:
         self._first = first
         self._kept = {entry: message for entry, message in self._kept.items() if entry.logged >= first}
         while self._reached <= last and (item := next(self._source, None)) is not None:
-            self._kept.setdefault(*item)
             self._reached = item[0].logged
+            if self._reached >= first:
+                self._kept.setdefault(*item)
         if all(entry in self._kept for entry in wanted):
             return {entry: self._kept[entry] for entry in wanted}
         self.close()  # storage files of one ROS 2 bag that overlap in time are read one after the other
