@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import shutil
+import sqlite3
 from pathlib import Path
 
 import cv2
@@ -224,6 +226,15 @@ def test_a_truncated_bag_is_named_with_the_mend(kind: str, tmp_path: Path) -> No
             list(open_dataset(bag, masks="none"))
     file.write_bytes(b"")
     with pytest.raises(DatasetError, match="walk"):
+        open_dataset(bag, masks="none")
+
+
+def test_a_database_with_a_time_that_is_none(tmp_path: Path) -> None:
+    bag = make(tmp_path / "r", "sqlite3", {topic(k): shots(k) for k in range(3)})
+    with contextlib.closing(sqlite3.connect(next(bag.glob("*.db3")))) as database:
+        database.execute("UPDATE messages SET timestamp = x'00ff' WHERE id = 7")
+        database.commit()
+    with pytest.raises(DatasetError, match="walk: cannot be read as a bag"):
         open_dataset(bag, masks="none")
 
 

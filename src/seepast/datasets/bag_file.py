@@ -52,8 +52,9 @@ class BagFile:
         with self._reading():
             for connection, logged, raw in self._reader.messages(connections, start, stop):
                 message = self._deserialize(raw, connection.msgtype)
-                taken = _stamp(message) if self.stamped else logged
-                yield Entry(connection.topic, self.part, logged, taken), message
+                time = int(logged)  # a damaged database may hold anything
+                taken = _stamp(message) if self.stamped else time
+                yield Entry(connection.topic, self.part, time, taken), message
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
