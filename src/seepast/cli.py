@@ -39,7 +39,9 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
+  seepast view out                              in the browser; --save out.rrd
   seepast refocus recording --out out --depth 5 plain synthetic aperture
+  seepast epi recording --row 200 --out epi.png epipolar-plane image
   seepast export out --to tum                   for SLAM; also bags, PLY, EXR
   seepast synth made --rig rig.yaml --frames 10 --seed 1
 """
