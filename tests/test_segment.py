@@ -154,16 +154,24 @@ def test_segformer_comes_back_from_a_quarter_without_a_shift(tmp_path: Path) -> 
     assert same(mask, mask[::-1, ::-1])  # a shift would show in the middle of the image
 
 
-def test_a_model_that_says_nothing_about_its_shape_learns_it_from_its_output(tmp_path: Path) -> None:
-    more = {"size": ("h", "w"), "declare": False, "pool": 16}
-    net = classes_net(tmp_path / "net.onnx", {12: (5, 0, 0)}, 150, **more)
-    with pytest.raises(ModelError, match=r"net.onnx: its shapes do not tell .* onnx:MODEL.onnx:segformer.*yolo-e2e"):
-        OnnxSegmenter(net)
+def test_a_model_that_says_nothing_about_its_shape_is_tried_out(tmp_path: Path) -> None:
+    net = classes_net(tmp_path / "net.onnx", {12: (5, 0, 0)}, 150, size=("h", "w"), declare=False, pool=16)
     red, blue = np.full((40, 50, 3), (0, 0, 255), np.uint8), np.full((40, 50, 3), (255, 0, 0), np.uint8)
-    masks = OnnxSegmenter(net, "segformer", ["person"])([red, blue])  # 12 in ADE20K
-    assert masks[0].min() > 250 and masks[1].max() < 5
+    for segment in (OnnxSegmenter(net), OnnxSegmenter(net, "segformer")):
+        assert segment.preset_name == "segformer"
+        masks = segment([red, blue])  # person is 12 in ADE20K
+        assert masks[0].min() > 250 and masks[1].max() < 5
+    with pytest.raises(OptionsError, match="no such class; it has person"):
+        OnnxSegmenter(net, None, ["persom"])
     with pytest.raises(OptionsError, match="no such class; it has person"):
         OnnxSegmenter(net, "segformer", ["persom"])([red])
+
+
+def test_what_no_preset_fits_is_refused_with_a_list(tmp_path: Path) -> None:
+    net = nets.logits(tmp_path / "net.onnx", np.eye(7, 3), ("h", "w"), declare=False)
+    said = r"net.onnx: its shapes do not tell .* out \[None, 7, 512, 512\].* onnx:MODEL.onnx:segformer.*yolo-e2e"
+    with pytest.raises(ModelError, match=said):
+        OnnxSegmenter(net)
 
 
 def test_labels_of_a_tensorflow_deeplab(tmp_path: Path) -> None:
@@ -298,8 +306,9 @@ def test_yolo_masks_end_at_their_box(tmp_path: Path) -> None:
     assert np.array_equal(mask > 127, inside((96, 72), FOUND))
 
 
-def test_yolo_without_names_takes_numbers_only(tmp_path: Path) -> None:
-    net = nets.yolo(tmp_path / "net.onnx", yolo_rows("yolo"))
+@pytest.mark.parametrize("metadata", [None, {"names": "{0: '0', 1: '1'}"}, {"names": "what"}, {"names": "3"}])
+def test_yolo_without_names_takes_numbers_only(tmp_path: Path, metadata: dict[str, str] | None) -> None:
+    net = nets.yolo(tmp_path / "net.onnx", yolo_rows("yolo"), metadata=metadata)
     with pytest.raises(OptionsError, match="give their numbers; the network has 2 classes, numbered 0 to 1"):
         OnnxSegmenter(net)
     with pytest.raises(OptionsError, match="--classes 2: the network's classes are numbered 0 to 1"):

@@ -17,6 +17,7 @@ from .presets import Signature, Tensor
 log = logging.getLogger("seepast")
 
 PROVIDERS = ("CUDA", "MIGraphX", "ROCM", "Dml", "CoreML", "CPU")  # those of them that are there, in this order
+PROBE_SIZE = (512, 512)  # width, height; a multiple of every network's stride
 DATA_SUFFIXES = (".data", "_data")  # what exporters append to the name for the file with the weights
 DTYPES = {"float": "float32", "double": "float64"}  # onnxruntime's names where they are not NumPy's
 
@@ -54,6 +55,14 @@ class OnnxModel:
             return self._session.run(None, {node.name: np.ascontiguousarray(batch, node.dtype)})
         except Exception as error:
             raise ModelError(f"it fails on an input of {list(batch.shape)} ({_first_line(error)})") from error
+
+    def probe(self) -> None:
+        """Learn the shapes of outputs that the file leaves open, from one run on a black image. Raises ModelError."""
+        width, height = self.signature.size or PROBE_SIZE
+        image = (height, width, 3) if self.signature.channels_last else (3, height, width)
+        batch = () if len(self.signature.input.shape) == 3 else (self.signature.batch or 1,)
+        outputs = self.run(np.zeros(batch + image))
+        self.signature = self.signature.completed([output.shape for output in outputs])
 
 
 def _digest(path: Path) -> str:

@@ -24,7 +24,7 @@ Prepared = tuple[np.ndarray, Placement]  # what goes in, [h, w, 3], and where th
 class OnnxSegmenter:
     """A Segmenter that runs an ONNX network; presets.PRESETS lists the kinds.
 
-    preset   None: guessed from the shapes of its input and outputs
+    preset   None: guessed from the shapes of its input and outputs, tried out where the file does not tell them
     classes  names or numbers of the classes that may move; None: person
     least    score below which an object does not count; None: as the preset has it
     threads  0 = as many as there are cores
@@ -45,7 +45,7 @@ class OnnxSegmenter:
         self.model = OnnxModel(Path(path), threads)
         self.classes = tuple(classes or PEOPLE)
         try:
-            self.preset_name = preset or guess_preset(self.model.signature)
+            self.preset_name = preset or _guessed(self.model)
             self.preset: Preset = find_preset(self.preset_name)
             self._channels_last = self.model.signature.channels_last
         except ModelError as error:
@@ -151,6 +151,17 @@ class OnnxSegmenter:
         along, weights = by_axes[3][axis], by_axes[4][1]
         count = along - head - weights if along and weights else 0
         return count if count > 0 else None
+
+
+def _guessed(model: OnnxModel) -> str:
+    try:
+        return guess_preset(model.signature)
+    except ModelError as unclear:
+        try:
+            model.probe()
+        except ModelError:
+            raise unclear from None
+    return guess_preset(model.signature)
 
 
 def _with_axes(outputs: list[np.ndarray], axes: int) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from ..errors import ModelError
 from .classes import COCO, COCO_AFTER_BACKGROUND, COCO_CATEGORIES, Names
@@ -53,6 +54,18 @@ class Signature:
     def batch(self) -> int | None:
         """Images in one run; None: any number."""
         return 1 if len(self.input.shape) == 3 else self.input.shape[0]
+
+    def completed(self, outputs: Sequence[Sequence[int]]) -> Signature:
+        """With the shapes that outputs really had, where the model left them open; the batch and objects stay open."""
+        known = [
+            replace(
+                tensor, shape=tensor.shape[:1] + tuple(n or m for n, m in zip(tensor.shape[1:], real[1:], strict=True))
+            )
+            if len(tensor.shape) == len(real)
+            else replace(tensor, shape=(None, *real[1:]))
+            for tensor, real in zip(self.outputs, outputs, strict=True)
+        ]
+        return replace(self, outputs=tuple(known))
 
     @property
     def main(self) -> int:
