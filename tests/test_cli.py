@@ -266,7 +266,7 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
     assert text.index("seepast run recording") < text.index("Commands"), "examples come first"
-    for command in ("run", "check", "refocus", "synth", "evaluate", "demo"):
+    for command in ("run", "check", "refocus", "epi", "view", "synth", "evaluate", "demo"):
         assert re.search(rf"│ {command} ", text), command
         assert cli.main([command, "--help"]) == 0
     for code in (cli.EXIT_ERROR, cli.EXIT_INTERRUPTED, cli.EXIT_TERMINATED):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import signal
 import socket
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -182,3 +185,25 @@ def test_the_page_is_served_to_this_machine_only(run: Path, capsys: pytest.Captu
     for port in ports:
         with socket.socket() as probe:
             assert probe.connect_ex(("127.0.0.1", port)) != 0, "nothing is left running"
+
+
+def test_a_run_is_shown_until_ctrl_c(tmp_path: Path) -> None:
+    pytest.importorskip("rerun")
+    rec = write_recording(tmp_path / "rec")
+    settings = ["--preset", "paper", "--backend", "reference", "--set", "range.max_disparity=12", "--json"]
+    command = [sys.executable, "-m", "seepast.cli", "run", str(rec), "--out", str(tmp_path / "out"), *settings]
+    process = subprocess.Popen(
+        [*command, "--view", "--port", "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None and process.stderr is not None
+    shown = process.stderr.readline()
+    port = int(shown.split("127.0.0.1:")[1].split("/")[0])
+    assert json.loads(process.stdout.readline())["frames"] == 1
+    assert process.stderr.readline().startswith("still shown at")
+    with socket.create_connection(("127.0.0.1", port), timeout=5):
+        pass
+    process.send_signal(signal.SIGINT)
+    out, errors = process.communicate(timeout=30)
+    assert process.returncode == 0 and out == errors == ""
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
