@@ -63,8 +63,9 @@ class Watch:
     def wait(self) -> None:
         """Until Ctrl-C, where a page is served."""
         if self.server is not None:
-            print(f"still shown at {self.server.page} ; Ctrl-C ends it", file=sys.stderr, flush=True)
-            self.server.wait()
+            with contextlib.suppress(KeyboardInterrupt):
+                print(f"still shown at {self.server.page} ; Ctrl-C ends it", file=sys.stderr, flush=True)
+                self.server.wait()
 
 
 def _unharmed(log_new: Callable[[], int]) -> None:
