@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import ModelError
 from .prepare import Placement, Size
 
+MOST = 300  # objects in one image; more are noise
 SAME_OBJECT = 0.7  # boxes of one class that overlap by more (intersection over union) are one object
 
 
@@ -96,11 +97,11 @@ def instances(found: Detections, placement: Placement, size: Size, chosen: Seque
     """
     found = _wanted(found, chosen, least)
     p = np.zeros(placement.size[::-1], np.float32)
-    whole = found.masks.shape[-2:] == size[::-1]
+    whole = found.masks.shape[-2:] == size[::-1]  # pasted already, and a little beyond their boxes
     for box, mask in zip(found.boxes, found.masks, strict=True):
         cells = np.ascontiguousarray(mask.reshape(mask.shape[-2:]), np.float32)
-        covers = (0.0, 0.0, float(size[0]), float(size[1])) if whole else tuple(float(v) for v in box)
-        _paint(p, cells, covers, box, placement)
+        covers = np.array((0, 0, *size) if whole else box, float)
+        _paint(p, cells, covers, covers, placement)
     return np.clip(p, 0, 1)
 
 
@@ -118,7 +119,7 @@ def prototypes(
     """
     found = _wanted(found, chosen, least)
     p = np.zeros(placement.size[::-1], np.float32)
-    covers = (0.0, 0.0, float(size[0]), float(size[1]))
+    covers = np.array((0, 0, *size), float)
     for box, weights in zip(found.boxes, found.masks, strict=True):
         cells = np.tensordot(weights.astype(np.float32), planes.astype(np.float32), axes=1)
         _paint(p, cells, covers, box, placement, logits=True)
@@ -133,7 +134,7 @@ def _wanted(found: Detections, chosen: Sequence[int], least: float) -> Detection
 def _paint(
     p: np.ndarray,
     cells: np.ndarray,
-    covers: tuple[float, ...],
+    covers: np.ndarray,
     box: np.ndarray,
     placement: Placement,
     logits: bool = False,
@@ -202,14 +203,15 @@ def _best(centre: np.ndarray, scores: np.ndarray, masks: np.ndarray) -> Detectio
 
 
 def distinct(found: Detections, least: float = 0.05) -> Detections:
-    """Of boxes of one class that overlap by more than SAME_OBJECT only the best (greedy non-maximum suppression).
+    """Of boxes of one class that overlap by more than SAME_OBJECT only the best (greedy non-maximum suppression), and
+    the MOST best of all.
 
     least: scores below go first, so that thousands of nothings need not be compared.
     """
     found = found[np.flatnonzero(found.scores >= least)]
     order = np.argsort(-found.scores, kind="stable")
     kept: list[int] = []
-    while order.size:
+    while order.size and len(kept) < MOST:
         first, rest = order[0], order[1:]
         kept.append(int(first))
         same = (found.labels[rest] == found.labels[first]) & (
