@@ -87,6 +87,23 @@ def test_a_stream_gives_what_single_calls_give(preset: str) -> None:
     assert (single[0].background != single[2].background).any()  # or any order would do
 
 
+def test_memory_of_earlier_frames_is_used_again_but_never_seen() -> None:
+    """Colour, grey and colour, masks and none in turn, all results kept: each is that of a Reconstructor of its own."""
+    rig = crooked_rig(2)
+    frames = some_frames(rig, 5)
+    for number in (1, 2):
+        images, masks = frames[number]
+        frames[number] = ([image[..., 1].copy() for image in images], masks)
+    for kind in ("cubic", "linear"):
+        chosen = options("paper").updated({"rectify.interpolation": kind, "refocus.median": False})
+        run = Reconstructor(rig, options=chosen)
+        kept = [run(*frame) for frame in frames] + list(run.stream(frames))
+        for frame, *results in zip(frames, kept[:5], kept[5:], strict=True):
+            fresh = seepast.reconstruct(*frame, rig, options=chosen)
+            for result in results:
+                assert_same(result, fresh)
+
+
 def test_grey_frames_and_no_frames() -> None:
     rig = crooked_rig(2)
     grey = [[image[..., 0].copy() for image in images] for images, _ in some_frames(rig, 2)]
