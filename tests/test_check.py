@@ -229,11 +229,13 @@ def boxes(offsets: list[int], value: int = 255) -> tuple[np.ndarray, ...]:
         (boxes([0, 10, 20, 30], value=1), "bad", "multiply"),
         (tuple(255 - m for m in boxes([0, 10, 20, 30])), "bad", "Invert"),
         (boxes([0, 10, 20, 30], value=0), "doubtful", "segmenter fail"),
+        ((*boxes([0, 10, 20]), np.full((SIZE[1], SIZE[0]), 255, np.uint8)), "doubtful", "1 of 4 all 255"),
     ],
 )
 def test_masks_that_mean_something_else_are_recognised(given, verdict: str, says: str) -> None:
     line = check(recording(masked=given)).line("masks")
     assert line.verdict == verdict and says in line.value + line.remedy
+    assert all(line.remedy for line in check(recording(masked=given)).lines if line.verdict != "good")
 
 
 def test_masks_of_one_object_agree_and_a_false_alarm_counts_by_its_area() -> None:
