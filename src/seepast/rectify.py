@@ -367,7 +367,7 @@ def _view(geometry: ArrayGeometry, index: int, camera: Camera, rectified_from_ca
 
 
 def _source(geometry: ArrayGeometry, index: int, camera: Camera, rectified_from_cam: np.ndarray) -> np.ndarray | None:
-    """float64[2, H, W] source pixel of every rectified pixel, also off the image; None for the identity."""
+    """float32[2, H, W] source pixel of every rectified pixel, also off the image; None for the identity."""
     focal, center = np.array(geometry.focal), np.array(geometry.center) + geometry.shifts[index]
 
     def projected(pixels: np.ndarray) -> np.ndarray:
@@ -390,7 +390,7 @@ def _unmoved(source: np.ndarray, every: int) -> bool:
 def _masked_map(camera: Camera, source: np.ndarray | None) -> tuple[np.ndarray, np.ndarray] | None:
     if source is None:
         return None
-    map_x, map_y = np.where(inside(source, camera.resolution), source, np.nan).astype(np.float32)
+    map_x, map_y = np.where(inside(source, camera.resolution), source, np.float32(np.nan))
     return map_x, map_y
 
 
