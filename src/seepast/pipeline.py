@@ -128,7 +128,7 @@ class Reconstructor:
     dynamic_only  estimate only pixels that a person hides from the reference. Disparity and depth are then 0
                   (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster with preset "paper",
                   whose prior then rests on the support points around those pixels
-    threads       of the cpu backend; 0 = all cores. The result does not depend on it
+    threads       of the cpu backend and of rectification; 0 = all cores. The result does not depend on it
 
     Raises RigError, OptionsError, BackendError. Calling it: see `__call__`.
     """
