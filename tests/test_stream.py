@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
@@ -18,6 +19,7 @@ import pytest
 import seepast
 from recordings import write_recording
 from seepast import ahead as ahead_module
+from seepast import backends
 from seepast.ahead import Behind, ahead
 from seepast.datasets import open_dataset
 from seepast.errors import DatasetError, InputError, OutputError
@@ -186,6 +188,20 @@ def test_a_stream_that_is_left_early_closes_its_source() -> None:
         next(results)
     assert closed.wait(SOON)
     assert made <= 6  # the one that was asked for, and five
+
+
+@pytest.mark.parametrize("own", [None, "OMP_WAIT_POLICY", "GOMP_SPINCOUNT"])
+def test_idle_threads_sleep_unless_the_user_has_said_how_they_wait(
+    monkeypatch: pytest.MonkeyPatch, own: str | None
+) -> None:
+    for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT"):
+        monkeypatch.delenv(name, raising=False)
+    if own:
+        monkeypatch.setenv(own, "7")
+    before = dict(os.environ)
+    with backends._idle_threads_sleep():
+        assert dict(os.environ) == (before if own else {**before, "OMP_WAIT_POLICY": "passive"})
+    assert dict(os.environ) == before
 
 
 # --------------------------------------------------------------------------------------------------- ahead
