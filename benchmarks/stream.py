@@ -43,7 +43,7 @@ def main() -> None:
     report = f"{head}\n\n{markdown_table(HEADER, rows)}"
     print(report)
     if arguments.write:
-        command = f"`python benchmarks/stream.py --presets {','.join(arguments.presets)}`"
+        command = f"`python benchmarks/stream.py --presets {','.join(arguments.presets)} --frames {arguments.frames}`"
         replace_section(arguments.write, "stream", f"{command}\n\n{report}")
 
 
