@@ -91,6 +91,16 @@ def logits(
     return save(path, nodes, (batch, 3, *size), outputs, constants=constants, dtype=dtype, metadata=metadata)
 
 
+def pretender(path: Path, size: tuple[int, int]) -> Path:
+    """The red channel; the input says [n, 3, h, w], but inside all is shaped for one image, as exporters often do."""
+    nodes = [
+        helper.make_node("Reshape", [IN, "one"], ["single"]),
+        helper.make_node("Conv", ["single", "w"], ["p"]),
+    ]
+    constants = {"one": np.array([1, 3, *size], np.int64), "w": np.eye(1, 3, dtype=np.float32)[:, :, None, None]}
+    return save(path, nodes, ("n", 3, *size), {"p": (FLOAT, (1, 1, *size))}, constants=constants)
+
+
 def labels_last(path: Path, size: tuple[int, int]) -> Path:
     """uint8 [1, h, w, 3] in; int64 [1, h, w] out: 15 where red is the strongest channel, else 0 (as DeepLab of TF)."""
     nodes = [

@@ -106,6 +106,22 @@ def test_a_tinted_camera_is_noticed_though_its_grey_level_is_right() -> None:
     assert line.verdict == "doubtful"
 
 
+def test_a_camera_that_sees_nothing_is_named_and_the_rest_is_still_told() -> None:
+    line = check(recording(images=lambda k, image: 0 * image if k == 1 else image)).line("rows, measured")
+    assert line.verdict == "doubtful" and "cam0-cam1, cam1-cam2" in line.remedy and "cam2-cam3" in line.value
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("level", [0, 255])
+def test_images_without_anything_are_reported_not_refused(level: int) -> None:
+    report = check(recording(images=lambda k, image: np.full_like(image, level), masked=boxes([0, 10, 20, 30])))
+    verdicts = {line.name: line.verdict for line in report.lines}
+    assert verdicts["rows, measured"] == verdicts["gain"] == "unknown" and verdicts["exposure"] == "bad"
+    assert report.background == 20.0, "nothing measured: the farther of the depths"
+    json.dumps(report.as_dict(), allow_nan=False)
+    page(report)
+
+
 def test_clipped_pixels_are_counted_in_the_camera_that_has_them() -> None:
     def spoil(k: int, image: np.ndarray) -> np.ndarray:
         image = image.copy()
@@ -213,11 +229,13 @@ def boxes(offsets: list[int], value: int = 255) -> tuple[np.ndarray, ...]:
         (boxes([0, 10, 20, 30], value=1), "bad", "multiply"),
         (tuple(255 - m for m in boxes([0, 10, 20, 30])), "bad", "Invert"),
         (boxes([0, 10, 20, 30], value=0), "doubtful", "segmenter fail"),
+        ((*boxes([0, 10, 20]), np.full((SIZE[1], SIZE[0]), 255, np.uint8)), "doubtful", "1 of 4 all 255"),
     ],
 )
 def test_masks_that_mean_something_else_are_recognised(given, verdict: str, says: str) -> None:
     line = check(recording(masked=given)).line("masks")
     assert line.verdict == verdict and says in line.value + line.remedy
+    assert all(line.remedy for line in check(recording(masked=given)).lines if line.verdict != "good")
 
 
 def test_masks_of_one_object_agree_and_a_false_alarm_counts_by_its_area() -> None:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,9 @@ class FakeReconstructor:
             options=self.settings["options"],
             backend="reference",
         )
+
+    def stream(self, frames: Any) -> Iterator[Result]:
+        return (self(*frame) for frame in frames)
 
 
 @pytest.fixture(autouse=True)
@@ -262,7 +266,7 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     text = capsys.readouterr().out
     assert text.index("seepast run recording") < text.index("Commands"), "examples come first"
-    for command in ("run", "check", "refocus", "synth", "evaluate", "demo"):
+    for command in ("run", "check", "refocus", "epi", "view", "synth", "evaluate", "demo"):
         assert re.search(rf"│ {command} ", text), command
         assert cli.main([command, "--help"]) == 0
     for code in (cli.EXIT_ERROR, cli.EXIT_INTERRUPTED, cli.EXIT_TERMINATED):

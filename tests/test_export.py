@@ -275,3 +275,19 @@ def test_a_full_disk_is_an_output_error_and_leaves_nothing_half(
         writer.write("0", result(), 1.0)
     assert not any("depth" in name for name in names(tmp_path))
     assert not writer.done("0")
+
+
+def test_run_json_tells_every_frame_of_both_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("seepast.export.folder.RUN_FILE_EVERY", 0.0)
+    out = tmp_path / "out"
+    with FolderWriter(out, RUN, CAMERAS) as writer:
+        writer.write("a", result(milliseconds=2.0), 9.0)
+        early = json.loads((out / "run.json").read_text())
+        assert early["frame_milliseconds"] == {"a": {"rectify": 2.0, "disparity": 4.0, "total": 9.0}}
+    with FolderWriter(out, RUN, CAMERAS) as writer:
+        writer.write("b", result(milliseconds=3.0), 10.0)
+    both = json.loads((out / "run.json").read_text())["frame_milliseconds"]
+    assert {stamp: ms["rectify"] for stamp, ms in both.items()} == {"a": 2.0, "b": 3.0}
+    with FolderWriter(out, RUN, CAMERAS, overwrite=True) as writer:
+        writer.write("b", result(milliseconds=4.0), 10.0)
+    assert list(json.loads((out / "run.json").read_text())["frame_milliseconds"]) == ["b"]

@@ -618,8 +618,12 @@ def test_the_command_exports_beside_the_run(truth: Truth, capsys: pytest.Capture
     assert "--overwrite" in errors[0] and "tum, mcap, rosbag2, rosbag1, ply, exr" in errors[1] and len(errors) == 2
 
 
-def test_the_command_takes_every_option(tmp_path: Path) -> None:
+def test_the_command_takes_every_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = write_run(tmp_path / "out", stamps=("000000", "000001"))
+    said = ["--json", "--to", "exr", "--out", str(tmp_path / "exr")]
+    assert cli.main(["export", str(truth.folder), *said]) == 0
+    line = {"name": "out", "to": "exr", "path": str(tmp_path / "exr"), "frames": 2}
+    assert json.loads(capsys.readouterr().out) == line
     words = ["--to", "tum", "--rate", "4", "--min-coverage", "3", "--depth-factor", "1000", "--out", tmp_path / "slam"]
     assert cli.main(["export", str(truth.folder), *map(str, words)]) == 0
     (first, _, depth), (second, *_) = read_associations(tmp_path / "slam")

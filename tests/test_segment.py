@@ -8,13 +8,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
+import onnxruntime
 import pytest
 
 import onnx_nets as nets
 from seepast.errors import MissingExtraError, ModelError, OptionsError
 from seepast.segment import PRESETS, OnnxSegmenter, classes, open_segmenter
-from seepast.segment.decode import Detections, distinct
+from seepast.segment.decode import MOST, Detections, distinct
 from seepast.segment.prepare import Preparation
+from seepast.segment.presets import Signature, Tensor, guess_preset
 
 WEIGHTS = (0.6, 0.3, 0.1)  # of red, green, blue: no two alike, so that a swap shows
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -102,6 +105,12 @@ def test_what_is_no_probability_is_refused(tmp_path: Path) -> None:
         OnnxSegmenter(net, "people")([picture()])
 
 
+def test_a_network_gone_astray_is_refused(tmp_path: Path) -> None:
+    net = classes_net(tmp_path / "net.onnx", {PERSON: (float("nan"), 0, 0)}, size=(32, 32))
+    with pytest.raises(ModelError, match="its output holds NaN or infinities"):
+        OnnxSegmenter(net)([picture()])
+
+
 def test_classes_make_no_sense_for_a_network_that_knows_people_only(tmp_path: Path) -> None:
     net = nets.selfie(tmp_path / "net.onnx", WEIGHTS)
     assert OnnxSegmenter(net, classes=["person"]).preset_name == "selfie"
@@ -145,16 +154,24 @@ def test_segformer_comes_back_from_a_quarter_without_a_shift(tmp_path: Path) -> 
     assert same(mask, mask[::-1, ::-1])  # a shift would show in the middle of the image
 
 
-def test_a_model_that_says_nothing_about_its_shape_learns_it_from_its_output(tmp_path: Path) -> None:
-    more = {"size": ("h", "w"), "declare": False}
-    net = classes_net(tmp_path / "net.onnx", {12: (5, 0, 0)}, 150, **more)
-    with pytest.raises(ModelError, match=r"net.onnx: its shapes do not tell .* onnx:MODEL.onnx:segformer.*yolo-e2e"):
-        OnnxSegmenter(net)
+def test_a_model_that_says_nothing_about_its_shape_is_tried_out(tmp_path: Path) -> None:
+    net = classes_net(tmp_path / "net.onnx", {12: (5, 0, 0)}, 150, size=("h", "w"), declare=False, pool=16)
     red, blue = np.full((40, 50, 3), (0, 0, 255), np.uint8), np.full((40, 50, 3), (255, 0, 0), np.uint8)
-    masks = OnnxSegmenter(net, "segformer", ["person"])([red, blue])  # 12 in ADE20K
-    assert masks[0].min() > 250 and masks[1].max() < 5
+    for segment in (OnnxSegmenter(net), OnnxSegmenter(net, "segformer")):
+        assert segment.preset_name == "segformer"
+        masks = segment([red, blue])  # person is 12 in ADE20K
+        assert masks[0].min() > 250 and masks[1].max() < 5
+    with pytest.raises(OptionsError, match="no such class; it has person"):
+        OnnxSegmenter(net, None, ["persom"])
     with pytest.raises(OptionsError, match="no such class; it has person"):
         OnnxSegmenter(net, "segformer", ["persom"])([red])
+
+
+def test_what_no_preset_fits_is_refused_with_a_list(tmp_path: Path) -> None:
+    net = nets.logits(tmp_path / "net.onnx", np.eye(7, 3), ("h", "w"), declare=False)
+    said = r"net.onnx: its shapes do not tell .* out \[None, 7, 512, 512\].* onnx:MODEL.onnx:segformer.*yolo-e2e"
+    with pytest.raises(ModelError, match=said):
+        OnnxSegmenter(net)
 
 
 def test_labels_of_a_tensorflow_deeplab(tmp_path: Path) -> None:
@@ -193,13 +210,22 @@ def test_all_views_go_in_one_batch_where_the_model_allows_it(tmp_path: Path, mon
     assert all(np.array_equal(mask, alone) for mask, alone in zip(masks, one_by_one, strict=True))
 
 
+def test_a_model_that_only_pretends_to_take_batches(tmp_path: Path, caplog) -> None:
+    net = nets.pretender(tmp_path / "net.onnx", (32, 32))
+    segment = OnnxSegmenter(net, "selfie")
+    images = [np.full((20, 24, 3), grey, np.uint8) for grey in (0, 102, 255)]
+    for _ in range(2):
+        assert [int(mask.mean()) for mask in segment(images)] == [0, 102, 255]
+    assert caplog.text.count("takes images only one by one, though its shapes say otherwise") == 1
+
+
 # ------------------------------------------------------------------------------------------ instances
 def test_mask_rcnn_of_the_zoo_is_pasted_into_its_boxes(tmp_path: Path) -> None:
     size = (60, 40)  # goes in 20 times as large, 1200x800, and padded to 1216x800
     masks = np.zeros((4, 1, 28, 28), np.float32)
     masks[0, 0, :, :14] = 0.8  # a person's left half
     masks[1:] = 1.0
-    boxes = 20 * np.array([(10, 8, 38, 36), (40, 10, 50, 20), (2, 2, 8, 8), (50, 30, 58, 38)])
+    boxes = 20 * np.array([(10, 8, 38, 36), (40, 10, 50, 20), (2, 2, 8, 8), (50.4, 30.4, 58.4, 38.4)])
     net = nets.mask_rcnn(tmp_path / "net.onnx", boxes, [1, 3, 1, 1], [0.9, 0.9, 0.4, 0.95], masks)
     segment = OnnxSegmenter(net)
     (mask,) = segment([picture(size)])
@@ -222,11 +248,15 @@ def test_mask_rcnn_of_torchvision_has_masks_of_the_whole_image(tmp_path: Path) -
     net = nets.mask_rcnn_whole(tmp_path / "net.onnx", np.array([(5, 3, 25, 17)]), [1], [0.9])
     segment = OnnxSegmenter(net)
     image = picture((40, 30))
-    expected = np.where(inside((40, 30), (5, 3, 25, 17)), image[..., 2], 0)
     (mask,) = segment([image])
-    assert segment.preset_name == "maskrcnn"
-    assert np.abs(mask.astype(int) - expected).max() <= 1
+    assert segment.preset_name == "maskrcnn" and same(mask, image[..., 2])
     assert OnnxSegmenter(net, None, ["bicycle"])([image])[0].max() == 0
+
+
+def test_boxes_that_are_no_boxes_are_left_out(tmp_path: Path) -> None:
+    boxes = np.array([(np.nan, 0, 20, 20), (30, 30, 10, 10), (-1e6, -1e6, -1e5, -1e5), (0, 0, 0, 0)])
+    net = nets.mask_rcnn(tmp_path / "n.onnx", boxes, [1] * 4, [0.9] * 4, np.ones((4, 1, 28, 28), np.float32))
+    assert OnnxSegmenter(net)([picture()])[0].max() == 0
 
 
 def test_a_network_that_sees_nothing_leaves_nothing_dynamic(tmp_path: Path) -> None:
@@ -241,14 +271,15 @@ CENTRE = (32.0, 32.0, 36.0, 36.0)
 
 
 def yolo_rows(form: str) -> np.ndarray:
-    """Person, the same again, something else, a weak one elsewhere; two classes; the red prototype is their mask."""
+    """Person, the same again, something else, and a weak one whose mask is all that the person's is not."""
     if form == "yolo-e2e":
-        rows = [(*SEEN, 0.9, 0, 1, 0), (*SEEN, 0.8, 1, 0, 1), (0, 0, 64, 64, 0.1, 0, 1, 0)]
-        return np.array(rows)
-    person = ((*CENTRE, 0.9, 0.1, 1, 0), (*CENTRE[:3], 34.0, 0.7, 0.1, 1, 0))
-    rows = [*person, (*CENTRE, 0.05, 0.8, 0, 1), (32, 32, 64, 64, 0.1, 0.1, 1, 0)]
-    if form == "yolov5":
-        return np.array([(*row[:4], 1.0, *row[4:]) for row in rows])
+        return np.array([(*SEEN, 0.9, 0, 1, 0), (*SEEN, 0.8, 1, 0, 1), (0, 0, 64, 64, 0.1, 0, -1, 0)])
+    rows = [
+        (*CENTRE, 0.9, 0.1, 1, 0), (*CENTRE[:3], 34.0, 0.7, 0.1, 1, 0), (*CENTRE, 0.05, 0.8, 0, 1),
+        (32, 32, 64, 64, 0.1, 0.1, -1, 0),
+    ]  # fmt: skip
+    if form == "yolov5":  # the weak one is a person for sure, if it is anything
+        return np.array([(*row[:4], 1.0, *row[4:]) for row in rows[:3]] + [(32, 32, 64, 64, 0.1, 1.0, 0, -1, 0)])
     return np.array(rows + [(0,) * 8] * 8).T
 
 
@@ -273,8 +304,9 @@ def test_yolo_masks_end_at_their_box(tmp_path: Path) -> None:
     assert np.array_equal(mask > 127, inside((96, 72), FOUND))
 
 
-def test_yolo_without_names_takes_numbers_only(tmp_path: Path) -> None:
-    net = nets.yolo(tmp_path / "net.onnx", yolo_rows("yolo"))
+@pytest.mark.parametrize("metadata", [None, {"names": "{0: '0', 1: '1'}"}, {"names": "what"}, {"names": "3"}])
+def test_yolo_without_names_takes_numbers_only(tmp_path: Path, metadata: dict[str, str] | None) -> None:
+    net = nets.yolo(tmp_path / "net.onnx", yolo_rows("yolo"), metadata=metadata)
     with pytest.raises(OptionsError, match="give their numbers; the network has 2 classes, numbered 0 to 1"):
         OnnxSegmenter(net)
     with pytest.raises(OptionsError, match="--classes 2: the network's classes are numbered 0 to 1"):
@@ -293,6 +325,41 @@ def test_overlapping_boxes_of_one_class_are_one_object() -> None:
     boxes = np.array([(0, 0, 10, 10), (0, 1, 10, 10), (0, 0, 10, 10), (0, 6, 10, 16), (0, 0, 10, 10)], float)
     found = Detections(boxes, np.array([0, 0, 1, 0, 0]), np.array([0.5, 0.9, 0.8, 0.7, 0.01]), np.arange(5))
     assert distinct(found).masks.tolist() == [1, 2, 3]
+    crowd = 20.0 * np.arange(MOST + 9)[:, None] + np.array((0, 0, 10, 10))
+    scores = np.linspace(0.1, 0.9, len(crowd))
+    kept = distinct(Detections(crowd, np.zeros(len(crowd), int), scores, np.arange(len(crowd)))).masks
+    assert kept.tolist() == list(range(len(crowd) - 1, 8, -1))  # the best
+
+
+# ------------------------------------------------------------------------- presets of networks as people have them
+@pytest.mark.parametrize(
+    ("taken", "given", "preset"),
+    [
+        ((1, 256, 256, 3), [(1, 256, 256, 1)], "selfie"),
+        ((1, 3, 192, 192), [(1, 2, 192, 192)], "pphumanseg"),
+        ((None, 3, 520, 520), [(None, 21, 520, 520), (None, 21, 520, 520)], "deeplab"),
+        ((None, 3, None, None), [(None, 21, None, None)], "deeplab"),
+        ((1, 257, 257, 3), [(1, 257, 257, 21)], "deeplab-tf"),
+        ((None, 3, 512, 512), [(None, 150, 128, 128)], "segformer"),
+        ((1, 3, 1024, 1024), [(1, 19, 256, 256)], "segformer"),
+        ((3, None, None), [(None, 4), (None,), (None,), (None, 1, None, None)], "maskrcnn"),
+        ((3, None, None), [(None, 4), (None,), (None,), (None, 1, 28, 28)], "maskrcnn-zoo"),
+        ((1, 3, 640, 640), [(1, 116, 8400), (1, 32, 160, 160)], "yolo"),
+        ((1, 3, 640, 640), [(1, 25200, 117), (1, 32, 160, 160)], "yolov5"),
+        ((1, 3, 640, 640), [(1, 300, 38), (1, 32, 160, 160)], "yolo-e2e"),
+        ((1, 3, 640, 640), [(1, 84, 8400)], None),  # YOLO without segments
+        ((1, 3, 320, 320), [(1, 1, 320, 320)], None),  # could be normalised in many ways
+        ((1, 3, 224, 224), [(1, 1000)], None),
+    ],
+)
+def test_the_preset_is_guessed_where_the_shapes_allow_one_only(taken, given, preset) -> None:
+    outputs = tuple(Tensor(f"o{i}", shape, "float32") for i, shape in enumerate(given))
+    signature = Signature(Tensor("image", taken, "float32"), outputs)
+    if preset is not None:
+        assert guess_preset(signature) == preset
+    else:
+        with pytest.raises(ModelError, match="its shapes do not tell what kind of network it is"):
+            guess_preset(signature)
 
 
 # ------------------------------------------------------------------------------------ classes by name
@@ -341,6 +408,41 @@ def test_it_describes_itself_by_the_hash_of_its_model(tmp_path: Path) -> None:
         "kind": "onnx", "model": str(net.resolve()), "sha256": hashlib.sha256(net.read_bytes()).hexdigest(),
         "preset": "deeplab", "provider": "CPU", "classes": ["person", "7"],
     }  # fmt: skip
+
+
+def test_weights_in_a_file_beside_it_count_too(tmp_path: Path) -> None:
+    path = nets.selfie(tmp_path / "net.onnx", WEIGHTS)
+    before = open_segmenter(f"onnx:{path}")([picture()])
+    onnx.save_model(onnx.load(path), path, save_as_external_data=True, location="net.onnx.data", size_threshold=0)
+    segment = open_segmenter(f"onnx:{path}")
+    data = tmp_path / "net.onnx.data"
+    assert segment.describe()["data_sha256"] == hashlib.sha256(data.read_bytes()).hexdigest()
+    assert np.array_equal(before, segment([picture()]))
+
+
+@pytest.mark.parametrize(
+    ("there", "wanted"),
+    [
+        (["AzureExecutionProvider", "CPUExecutionProvider"], ["CPU"]),
+        (["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"], ["CUDA", "CPU"]),
+        (["CPUExecutionProvider", "CoreMLExecutionProvider"], ["CoreML", "CPU"]),
+    ],
+)
+def test_the_best_processor_that_is_there_runs_it(tmp_path: Path, monkeypatch, caplog, there, wanted) -> None:
+    asked: list[list[str]] = []
+    session = onnxruntime.InferenceSession
+
+    def opened(path: str, options: object, providers: list[str]) -> object:
+        asked.append(providers)
+        return session(path, options, providers=["CPUExecutionProvider"])
+
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: there)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", opened)
+    monkeypatch.setattr(onnxruntime, "preload_dlls", lambda: asked.append(["preloaded"]), raising=False)
+    OnnxSegmenter(nets.selfie(tmp_path / "net.onnx", WEIGHTS))
+    assert asked[-1] == [f"{name}ExecutionProvider" for name in wanted]
+    assert (["preloaded"] in asked) == ("CUDA" in wanted)
+    assert ("does not start; CPUExecutionProvider runs it" in caplog.text) == (len(wanted) > 1)
 
 
 def test_letterboxes_of_odd_sizes_keep_the_middle() -> None:

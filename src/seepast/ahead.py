@@ -1,4 +1,5 @@
-"""One stage's next item while another stage works on the item before."""
+"""One stage's next item while another stage works on the item before: `ahead` for those that make items, `Behind`
+for those that use them up."""
 
 from __future__ import annotations
 
@@ -6,9 +7,11 @@ import contextlib
 import logging
 import queue
 import threading
-from collections.abc import Generator, Iterable
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from types import GeneratorType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 log = logging.getLogger("seepast")
 
@@ -56,14 +59,41 @@ def _make(items: Iterable[T], waiting: queue.Queue[list[T] | _Failure | None], s
     try:
         iterator = iter(items)
         for item in iterator:
-            if stop.is_set():
-                break
             box = [item]
             del item  # while `put` waits, the box alone holds it
-            waiting.put(box)
+            if not stop.is_set():
+                waiting.put(box)
+            if stop.is_set():
+                break
         if isinstance(iterator, GeneratorType):
             iterator.close()
     except BaseException as error:
         last = _Failure(error)
     if not stop.is_set():
         waiting.put(last)
+
+
+class Behind:
+    """Calls `function` in a thread of its own, in order, while the caller goes on: one in work and `depth` waiting.
+
+    What `function` raises is raised by a later call, or at the end of the with statement, which waits for all that
+    was asked for; but an exception that ends the with statement has precedence.
+    """
+
+    def __init__(self, function: Callable[..., object], depth: int = 1):
+        self._function, self._depth = function, depth
+        self._waiting: deque[Future[object]] = deque()
+        self._thread = ThreadPoolExecutor(1, "seepast behind")
+
+    def __call__(self, *arguments: Any) -> None:
+        while len(self._waiting) > self._depth:
+            self._waiting.popleft().result()
+        self._waiting.append(self._thread.submit(self._function, *arguments))
+
+    def __enter__(self) -> Behind:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._thread.shutdown()
+        while kind is None and self._waiting:
+            self._waiting.popleft().result()

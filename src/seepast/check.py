@@ -122,6 +122,7 @@ def check(
     lines = [
         images.measured_rows(pairs, names),
         images.skew_line(_times(dataset), names, geometry, depths[0]),
+        *images.dropped_lines(getattr(dataset, "dropped", None), len(names) * len(dataset.stamps)),
         images.gain_line(_typical(np.stack(read.gains)), names, geometry.reference),
         images.exposure_line(np.mean(read.clipped, axis=0), names),
         *array.array_lines(rectification, names, depths, background, known),

@@ -8,6 +8,7 @@ import logging
 import signal
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,6 +20,7 @@ from .commands.console import progress as _progress
 from .commands.export import export
 from .commands.segmenting import Classes, SegmenterName, opened_segmenter
 from .commands.source import GUESSED, Source
+from .commands.watching import UNSEEN, Viewing
 from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
 from .options import DEFAULT_PRESET
 
@@ -33,10 +35,13 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast check recording                       are files and calibration fit?
   seepast run recording --out out               the static scene of every frame
   seepast run recordings --out out --masks net  a folder of them, other masks
+  seepast run walk.bag --out out --masks none   ROS bag, EuRoC, videos
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
   seepast evaluate recording out                how right, where truth is known
+  seepast view out                              in the browser; --save out.rrd
   seepast refocus recording --out out --depth 5 plain synthetic aperture
+  seepast epi recording --row 200 --out epi.png epipolar-plane image
   seepast export out --to tum                   for SLAM; also bags, PLY, EXR
   seepast synth made --rig rig.yaml --frames 10 --seed 1
 """
@@ -44,7 +49,8 @@ HELP = "\n\n".join(
     (
         "See past people with a camera array: the static scene's image, disparity and masks of one instant.",
         "A recording is a folder with rig.yaml (Kalibr), cam0/<stamp>.png, cam1/<stamp>.png ... and "
-        "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic).",
+        "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic); or a ROS bag, an EuRoC folder, "
+        "videos cam0.mp4 ..., a Middlebury folder.",
         "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
         "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
     )
@@ -67,7 +73,7 @@ Backend = Literal["auto", "cpu", "reference"]
 Masks = Annotated[
     str | None,
     Parameter(
-        help="Folder of masks in the dataset (default: masks); 'none': no masks.",
+        help="Folder of masks in the dataset (default: masks); 'none': no masks; in ROS bags also topics:A,B,C.",
         show_default=False,
     ),
 ]
@@ -91,6 +97,7 @@ def run(
     overwrite: Flag = False,
     json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
     source: Source = GUESSED,
+    viewing: Viewing = UNSEEN,
 ) -> int:
     """Reconstruct the static scene of every frame of a recording.
 
@@ -128,30 +135,38 @@ def run(
 
     options = Options.preset(preset).updated(_assignments(set_ or []))
     settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
-    network = opened_segmenter(segmenter, classes, masks)
+    network = opened_segmenter(segmenter, classes, masks, threads)
     paths = source.find(dataset)
     failed = 0
-    for path in paths:
-        target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
-        try:
-            recording = source.open(path, NO_MASKS if network else masks)
-            if network:
-                recording = SegmentedDataset(recording, network)
-            with _progress(recording.name, len(recording.stamps)) as advance:
-                summary = process(recording, target, settings, on_frame=advance)
-        except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
-            if len(paths) == 1:
-                raise
-            failed += 1
-            _say_error(error)
-            continue
-        print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
+    with viewing.watch(len(paths), overwrite) as watched:
+        for path in paths:
+            target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
+            try:
+                given = NO_MASKS if network else masks
+                recording = source.open(path, given)
+                if network:
+                    recording = SegmentedDataset(recording, network)
+                again = partial(source.open, path, given)
+                with (
+                    _progress(recording.name, len(recording.stamps)) as advance,
+                    watched.run(recording.name, target, again, advance) as on_frame,
+                ):
+                    summary = process(recording, target, settings, on_frame=on_frame)
+            except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
+                if len(paths) == 1:
+                    raise
+                failed += 1
+                _say_error(error)
+                continue
+            print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
+        watched.wait()
     return EXIT_ERROR if failed else 0
 
 
 app.command("seepast.commands.check:check")
 app.command("seepast.commands.refocus:refocus")
 app.command("seepast.commands.epi:epi")
+app.command("seepast.commands.view:view")
 app.command("seepast.commands.models:models")
 app.command(export)
 

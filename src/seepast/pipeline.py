@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -127,7 +128,7 @@ class Reconstructor:
     dynamic_only  estimate only pixels that a person hides from the reference. Disparity and depth are then 0
                   (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster with preset "paper",
                   whose prior then rests on the support points around those pixels
-    threads       of the cpu backend; 0 = all cores. The result does not depend on it
+    threads       of the cpu backend and of rectification; 0 = all cores. The result does not depend on it
 
     Raises RigError, OptionsError, BackendError. Calling it: see `__call__`.
     """
@@ -149,6 +150,7 @@ class Reconstructor:
         self.backend = backends.get(backend)
         self.dynamic_only = dynamic_only
         self.threads = threads
+        self._spare: deque[Frame] = deque(maxlen=4)  # of earlier instants, to be written over
         DisparityGrid.of(self.options.range, self.rectification.geometry.size[0])  # an empty range fails here
 
     def __call__(self, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None) -> Result:
@@ -180,10 +182,15 @@ class Reconstructor:
         clock = Clock()
         checked, priors = check_frame(self.rig, images, masks)
         with clock("rectify"):
-            frame = rectified_frame(
-                self.rectification, checked, priors, self.options.rectify.interpolation, self.threads
-            )
+            kind, spare = self.options.rectify.interpolation, self._spare_frame()
+            frame = rectified_frame(self.rectification, checked, priors, kind, self.threads, spare)
         return _Prepared(frame, priors, checked[0].ndim == 3, clock)
+
+    def _spare_frame(self) -> Frame | None:
+        try:
+            return self._spare.pop()
+        except IndexError:  # never a look before: several threads may ask
+            return None
 
     def _reconstructed(self, prepared: _Prepared) -> Result:
         clock, geometry = prepared.clock, self.rectification.geometry
@@ -195,6 +202,9 @@ class Reconstructor:
         with clock("rectify"):
             refined = input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
         background = found["background"]
+        if np.may_share_memory(background, prepared.frame.colour):
+            background = background.copy()
+        self._spare.append(prepared.frame)
         return Result(
             background=background if prepared.in_colour else background[..., 0],
             disparity=found["disparity"],

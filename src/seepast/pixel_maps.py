@@ -21,17 +21,17 @@ _SMALL_PRODUCT = 2**18  # multiplications: OpenBLAS takes one thread up to here
 
 
 def dense(mapped: PixelMap, size: tuple[int, int]) -> np.ndarray:
-    """float64[2, H, W]: x and y of `mapped` at every pixel of an image of `size` (width, height).
+    """float32[2, H, W]: x and y of `mapped` at every pixel of an image of `size` (width, height).
 
-    Within MAX_ERROR px of `mapped` itself: from the polynomial through NODES x NODES Chebyshev points, as products
-    of barycentric interpolation matrices (Berrut & Trefethen 2004, eq. 4.2), if it is that close at all of
-    _CHECKED x _CHECKED other places; else, as where the lens ends within the image, computed pixel by pixel.
+    Within MAX_ERROR px of `mapped` itself, and rounding: from the polynomial through NODES x NODES Chebyshev points,
+    as products of barycentric interpolation matrices (Berrut & Trefethen 2004, eq. 4.2), if it is that close at all
+    of _CHECKED x _CHECKED other places; else, as where the lens ends within the image, computed pixel by pixel.
     """
     smooth = _interpolated(mapped, size) if min(size) > _CHECKED else None
     if smooth is not None:
         return smooth
     x, y = np.meshgrid(*(np.arange(length, dtype=np.float64) for length in size))
-    return np.ascontiguousarray(np.moveaxis(mapped(np.stack([x, y], axis=-1)), -1, 0))
+    return np.ascontiguousarray(np.moveaxis(mapped(np.stack([x, y], axis=-1)), -1, 0), np.float32)
 
 
 def _interpolated(mapped: PixelMap, size: tuple[int, int]) -> np.ndarray | None:
@@ -49,13 +49,13 @@ def _interpolated(mapped: PixelMap, size: tuple[int, int]) -> np.ndarray | None:
 
 
 def _product(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """float64[2, H, W] rows[2, H, n] @ matrix[n, W], in pieces for which no BLAS starts threads: waiting for one
+    """float32[2, H, W] rows[2, H, n] @ matrix[n, W], in pieces for which no BLAS starts threads: waiting for one
     another while cores are busy with something else, they took fifty times as long."""
-    out = np.empty((*rows.shape[:2], matrix.shape[1]))
+    out = np.empty((*rows.shape[:2], matrix.shape[1]), np.float32)
     step = max(1, _SMALL_PRODUCT // matrix.size)
     for c in range(len(rows)):
         for y in range(0, rows.shape[1], step):
-            np.matmul(rows[c, y : y + step], matrix, out=out[c, y : y + step])
+            out[c, y : y + step] = rows[c, y : y + step] @ matrix
     return out
 
 
@@ -93,7 +93,7 @@ def fixed_point(pixels: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, 
     Pixels outside `size` are clamped to just beyond its border.
     """
     near_x, near_y = (  # fmax takes -1 instead of NaN
-        np.fmin(np.fmax(plane, -1.0), length).astype(np.float32) for plane, length in zip(pixels, size, strict=True)
+        np.fmin(np.fmax(plane, np.float32(-1)), np.float32(length)) for plane, length in zip(pixels, size, strict=True)
     )
     whole, fraction = cv2.convertMaps(near_x, near_y, cv2.CV_16SC2)
     return whole, fraction

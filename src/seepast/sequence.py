@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from . import __version__, backends
+from .ahead import Behind
 from .datasets import NO_MASKS, Dataset
 from .export import FolderWriter, Run
 from .options import Options
-from .pipeline import Reconstructor
+from .pipeline import Images, Masks, Reconstructor
 from .rectify import rectify
 from .rig import Rig
 from .segment import SegmentedDataset
@@ -39,7 +40,7 @@ class Summary:
     """What became of one recording.
 
     frames          finished frames in `out`; computed: those of this run, the others were there before
-    milliseconds    median per frame of each stage, and "total"
+    milliseconds    median per frame of each stage, and "total", their sum: frames overlap, so less passes
     coverage_share  mean share of the pixels that some camera saw; None if nothing was computed yet
     """
 
@@ -59,8 +60,10 @@ def process(
 ) -> Summary:
     """Reconstruct every frame of `dataset` that `out` does not hold yet.
 
-    `on_frame` is called after every frame, finished ones included. Raises SeepastError; what was finished
-    before stays, and an equal later call goes on from there.
+    Reading, rectifying, reconstructing and writing of successive frames overlap (each in a thread, a few frames
+    held); `dataset` is read from one thread, which is not the one that opened it. `on_frame` is called after every
+    frame, finished ones included. Raises SeepastError; what was finished before stays, and an equal later call goes
+    on from there.
     """
     reference = dataset.rig.index(settings.reference)
     run = describe_run(dataset, settings)
@@ -76,17 +79,19 @@ def process(
     names = [camera.name for camera in dataset.rig.cameras]
     rotation = rectify(dataset.rig, reference).rotation_from_cam[reference]
     with FolderWriter(out, run, names, rotation=rotation, overwrite=settings.overwrite) as writer:
-        for stamp in dataset.stamps:
-            if not writer.done(stamp):
-                frame = dataset.frame(stamp)
-                start = time.perf_counter()
-                result = reconstructor(frame.images, frame.masks)
-                total = 1e3 * (time.perf_counter() - start) + sum(frame.timings.values())
-                writer.write(stamp, replace(result, timings={**frame.timings, **result.timings}), total)
-                computed += 1
-                if not result.coverage.any():
-                    blind.append(stamp)
-            on_frame()
+        missing = {stamp for stamp in dataset.stamps if not writer.done(stamp)}
+        timings: dict[str, Mapping[str, float]] = {}
+        frames = _decoded(dataset, missing, timings)
+        with Behind(writer.write) as write, closing(reconstructor.stream(frames)) as results:
+            for stamp in dataset.stamps:
+                if stamp in missing:
+                    result = next(results)
+                    result = replace(result, timings={**timings.pop(stamp), **result.timings})
+                    write(stamp, result, sum(result.timings.values()))
+                    computed += 1
+                    if not result.coverage.any():
+                        blind.append(stamp)
+                on_frame()
     if blind:
         log.warning(
             "%s: no camera sees anything static in %d frames (%s first); do the masks say 255 for static?",
@@ -103,6 +108,17 @@ def process(
     )
 
 
+def _decoded(
+    dataset: Dataset, wanted: Container[str], timings: dict[str, Mapping[str, float]]
+) -> Iterator[tuple[Images, Masks]]:
+    """Images and masks of the `wanted` frames in order; what making them took goes to `timings`."""
+    for stamp in dataset.stamps:
+        if stamp in wanted:
+            frame = dataset.frame(stamp)
+            timings[stamp] = frame.timings
+            yield frame.images, frame.masks
+
+
 def describe_run(dataset: Dataset, settings: Settings) -> Run:
     """What determines the output of `process`, for run.json and for going on with an earlier run."""
     return Run(
@@ -115,6 +131,7 @@ def describe_run(dataset: Dataset, settings: Settings) -> Run:
         dynamic_only=settings.dynamic_only,
         options=settings.options.flat(),
         segmenter=dataset.segmenter.describe() if isinstance(dataset, SegmentedDataset) else None,
+        reading=getattr(dataset, "reading", None),
     )
 
 

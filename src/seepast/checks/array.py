@@ -113,11 +113,18 @@ def depth_step(geometry: ArrayGeometry, depth: float) -> float:
     return PRECISION * depth**2 / geometry.focal_baseline
 
 
+def _length(metres: float) -> str:
+    for unit, least in (("m", 1.0), ("cm", 0.01)):
+        if metres >= least:
+            return f"{metres / least:.2g} {unit}" if metres < 10 * least else f"{metres / least:.0f} {unit}"
+    return f"{1000 * metres:.2g} mm"
+
+
 def resolution(geometry: ArrayGeometry, depths: tuple[float, float]) -> Line:
     steps = [depth_step(geometry, depth) for depth in depths]
     return line(
         "depth resolution",
-        ", ".join(f"{100 * step:.3g} cm at {depth:g} m" for depth, step in zip(depths, steps, strict=True))
+        ", ".join(f"{_length(step)} at {depth:g} m" for depth, step in zip(depths, steps, strict=True))
         + f" (for {PRECISION:g} px of disparity)",
         verdict_of(steps[1] / depths[1], 0.1, 0.3),
         f"at {depths[1]:g} m half a pixel is {100 * steps[1] / depths[1]:.0f} % of the depth: a longer lens, a wider "

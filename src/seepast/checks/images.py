@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from ..datasets import Dropped
 from ..geometry import ArrayGeometry
 from ..matching import Matches
 from ..rectify import MIN_MATCHES
@@ -21,7 +22,10 @@ Pairs = Sequence[Matches]
 
 
 def measured_rows(frames: Sequence[Pairs], names: Sequence[str]) -> Line:
-    """Median |dy| over all pairs and frames; the pair that is off most is named. See matching.Matches."""
+    """Median |dy| over all pairs and frames; the pair that is off most is named, and those that hardly match.
+
+    See matching.Matches.
+    """
     errors = [np.concatenate([pairs[i].row_error for pairs in frames]) for i in range(len(frames[0]))]
     merged = np.concatenate(errors)
     if len(merged) < MIN_MATCHES:
@@ -32,14 +36,21 @@ def measured_rows(frames: Sequence[Pairs], names: Sequence[str]) -> Line:
     offsets = {pair: float(np.median(e)) if len(e) else float("nan") for pair, e in pairs.items()}
     off = {pair: float(np.median(abs(e))) for pair, e in pairs.items() if len(e) >= MIN_MATCHES}
     most = max(off, key=lambda pair: off[pair], default="")
-    verdict = worst([verdict_of(v, GOOD_ROWS_PX, BAD_ROWS_PX) for v in (median, *off.values())])
+    lost = [pair for pair in pairs if pair not in off]
+    verdicts = [verdict_of(v, GOOD_ROWS_PX, BAD_ROWS_PX) for v in (median, *off.values())]
+    mend = []
+    if worst(verdicts) != "good":
+        mend.append(f"{most} does not fit the calibration: was a camera moved, or are they triggered apart? "
+                    "Calibrate again")  # fmt: skip
+    if lost:
+        verdicts.append("doubtful")
+        mend.append(f"hardly a match in {', '.join(lost)}: dark, blurred, or not of one scene?")
     return line(
         "rows, measured",
         f"{median:.2f} px off in the median of {len(merged)} matches"
         + (f", most in {most}: {off[most]:.2f} px" if most else ""),
-        verdict,
-        f"{most or 'some camera'} does not fit the calibration: was a camera moved, or are they triggered apart? "
-        "Calibrate again",
+        worst(verdicts),
+        "; ".join(mend),
         px=median,
         matches=len(merged),
         pairs_px=off,
@@ -145,7 +156,7 @@ def skew_line(times: np.ndarray, names: Sequence[str], geometry: ArrayGeometry, 
             "time-stamp skew",
             "the recording does not say when each camera exposed",
             "unknown",
-            "make sure that the cameras share one trigger; moving people are then where the rows, measured, say",
+            "make sure that the cameras share one trigger: whoever moves is elsewhere in every view otherwise",
         )
     spans = np.ptp(times, axis=1)
     typical, largest = float(np.median(spans)), float(spans.max())
@@ -163,3 +174,22 @@ def skew_line(times: np.ndarray, names: Sequence[str], geometry: ArrayGeometry, 
         moved_px=moved,
         late_ms=(1000 * late).tolist(),
     )
+
+
+def dropped_lines(dropped: Sequence[Dropped] | None, kept: int) -> list[Line]:
+    """How many images belong to no frame, beside `kept` that do; no line for readers that drop none (None)."""
+    if dropped is None:
+        return []
+    lost = sum(part.images for part in dropped)
+    share = lost / (lost + kept)
+    return [
+        line(
+            "dropped images",
+            f"{lost} of {lost + kept}" + "".join(f"; {part}" for part in dropped),
+            verdict_of(share, 0.02, 0.2),
+            "trigger the cameras together, set one clock and record at a rate that the disk bears; or see --tolerance",
+            images=lost,
+            share=share,
+            reasons={part.reason: part.images for part in dropped},
+        )
+    ]

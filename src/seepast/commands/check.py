@@ -35,8 +35,8 @@ def check(
       seepast check recording --depths 1.5 12 --html report.html
       seepast check recording --background 4 --json
 
-    Exit code 0 whatever the verdicts, 2 where a run would be impossible (a file that is missing or damaged, a
-    calibration that cannot be used), told in one line on stderr.
+    Exit code 0 whatever the verdicts; 2 where a run would be impossible (files
+    missing or damaged, an unusable calibration), told in one line on stderr.
 
     Parameters
     ----------

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from .source import GUESSED, Source
+
 Optional = Parameter(negative=(), show_default=False)
 
 
@@ -23,6 +25,7 @@ def epi(
     masks: Annotated[str | None, Optional] = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
+    source: Source = GUESSED,
 ) -> int:
     """Draw the epipolar-plane image of a row: slope is disparity, people's rays are struck out.
 
@@ -58,13 +61,12 @@ def epi(
     """
     import numpy as np
 
-    from ..datasets import open_dataset
     from ..epipolar import ROW_HEIGHT, draw, epipolar_image
     from ..errors import OptionsError, OutputError
     from ..export.atomic import write_png
     from ..rectify import rectify
 
-    recording = open_dataset(dataset, masks=masks)
+    recording = source.open(dataset, masks)
     stamp = recording.stamps[0] if frame is None else frame
     if stamp not in recording.stamps:
         raise OptionsError(f"--frame {stamp}: {dataset} has {recording.stamps[0]} .. {recording.stamps[-1]}")

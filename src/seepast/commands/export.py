@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -24,6 +25,7 @@ def export(
     depth: Literal["32FC1", "16UC1"] = "32FC1",
     depth_factor: float = 5000.0,
     overwrite: Flag = False,
+    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
 ) -> int:
     """Write what `run` made in the formats of other tools.
 
@@ -58,6 +60,8 @@ def export(
         Units per metre of the depth images of tum: 5000 reaches 13.1 m, 1000 reaches 65.5 m.
     overwrite
         Replace an earlier export.
+    json_
+        Print one line of JSON instead of text.
     """
     from ..export.exporters import export, exporter_of
     from ..export.protocol import ExportOptions
@@ -66,7 +70,11 @@ def export(
     exporter_of(to)
     options = ExportOptions(stamps, rate, min_coverage, depth, depth_factor)
     folder = RunFolder(run)
-    with progress(folder.path.resolve().name, len(folder.stamps)) as advance:
+    name = folder.path.resolve().name
+    with progress(name, len(folder.stamps)) as advance:
         done = export(folder, to, out, options, overwrite=overwrite, on_frame=advance)
-    print(f"{folder.path.resolve().name}: {count(done.frames, 'frame')} as {to}, {done.path}")
+    if json_:
+        print(json.dumps({"name": name, "to": to, "path": str(done.path), "frames": done.frames}))
+    else:
+        print(f"{name}: {count(done.frames, 'frame')} as {to}, {done.path}")
     return 0

@@ -30,7 +30,7 @@ Classes = Annotated[
 ]
 
 
-def opened_segmenter(spec: str | None, classes: str | None, masks: str | None) -> Segmenter | None:
+def opened_segmenter(spec: str | None, classes: str | None, masks: str | None, threads: int = 0) -> Segmenter | None:
     """The segmenter that the options of a command name; None: masks come from files. Raises SeepastError."""
     if spec is None:
         if classes is not None:
@@ -43,4 +43,4 @@ def opened_segmenter(spec: str | None, classes: str | None, masks: str | None) -
     words = None if classes is None else [word.strip() for word in classes.split(",") if word.strip()]
     if words == []:
         raise OptionsError("--classes: names nothing; write it as --classes person,car")
-    return open_segmenter(spec, words)
+    return open_segmenter(spec, words, threads=threads)

@@ -61,6 +61,7 @@ class EurocDataset(Recording):
         masks = mask_path(path, options.masks)
         super().__init__(path, rig, rig_file, [f"{time:019d}" for time in times[:, 0]], masks)
         self.times, self.dropped = times, _absent(names, listed, there) + dropped
+        self.reading = {"reader": "euroc", "tolerance": tolerance / 1e9}
         if masks is not None:
             choices = [[(s, file.stem) for s, file in zip(self.stamps, own, strict=True)] for own in self._files]
             self._folder = MaskFolder(masks, names, choices)

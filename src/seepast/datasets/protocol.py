@@ -68,7 +68,8 @@ class Dataset(Protocol):
     stamps  names of its frames in time order
 
     Readers that put images of separately stamped cameras together also have `dropped`, a tuple of Dropped, and
-    `times`, int64[N, K] nanoseconds of each frame's images (None where the recording has no clock).
+    `times`, int64[N, K] nanoseconds of each frame's images (None where the recording has no clock). Where frames depend
+    on how the recording was opened, `reading` tells it, for run.json.
     """
 
     name: str

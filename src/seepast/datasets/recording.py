@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,14 +68,15 @@ def _mask_files(folder: Path, stamps: Sequence[Sequence[str]]) -> list[Path]:
 
 
 def mask_path(path: Path, masks: str | None) -> Path | None:
-    """The folder of masks of a recording: in it or beside it if it is a file; None for "none". Raises DatasetError."""
+    """The folder of masks of a recording, in it or beside it; None for "none". Raises DatasetError."""
     if masks == NO_MASKS:
         return None
-    folder = (path if path.is_dir() else path.parent) / (masks or DEFAULT_MASKS)
-    if not folder.is_dir():
+    places = [path, path.parent] if path.is_dir() else [path.parent]
+    folder = next((f for place in places if (f := place / (masks or DEFAULT_MASKS)).is_dir()), None)
+    if folder is None:
         raise DatasetError(
-            f"{folder}: no such folder of masks; name one with --masks FOLDER, or say --masks none, and nothing is "
-            "taken for dynamic"
+            f"{places[0] / (masks or DEFAULT_MASKS)}: no such folder of masks; name one with --masks FOLDER, or say "
+            "--masks none, and nothing is taken for dynamic"
         )
     return folder
 
@@ -84,6 +86,7 @@ class Recording(ABC):
 
     times: np.ndarray | None = None
     dropped: tuple[Dropped, ...] = ()
+    reading: Mapping[str, Any] | None = None
 
     def __init__(self, path: Path, rig: Rig, rig_file: Path, stamps: Sequence[str], masks: Path | None):
         self.path = path
@@ -123,7 +126,7 @@ class Recording(ABC):
 
     @abstractmethod
     def _masks(self, index: int) -> Sequence[np.ndarray]:
-        """K uint8 [h, w] masks of frame `index`; asked for only if `masks` is not None."""
+        """K uint8 [h, w] masks of frame `index`; asked for after its images, and only if `masks` is not None."""
 
     @abstractmethod
     def _where(self, camera: int, index: int) -> str:

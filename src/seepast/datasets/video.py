@@ -25,7 +25,7 @@ def is_video_dataset(path: Path) -> bool:
 
 
 def _video(folder: Path, camera: str) -> Path | None:
-    return next((f for s in VIDEO_SUFFIXES if (f := folder / f"{camera}{s}").is_file()), None)
+    return next((f for f in sorted(folder.glob(f"{camera}.*")) if f.suffix.lower() in VIDEO_SUFFIXES), None)
 
 
 class Video:
@@ -133,7 +133,7 @@ class VideoDataset(Recording):
 def _open(folder: Path, camera: str) -> Video:
     path = _video(folder, camera)
     if path is None:
-        known = ", ".join(sorted(p.name for p in folder.iterdir() if p.suffix in VIDEO_SUFFIXES)) or "none"
+        known = ", ".join(sorted(p.name for p in folder.iterdir() if p.suffix.lower() in VIDEO_SUFFIXES)) or "none"
         raise DatasetError(f"{folder}: no video of {camera} (there is: {known}); name the files cam0.mp4, cam1.mp4 ...")
     return Video(path)
 

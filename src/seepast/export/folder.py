@@ -11,6 +11,7 @@ import json
 import os
 import platform
 import statistics
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 RUN_FILE = "run.json"
 CAMERA_FILE = "camera.yaml"
+RUN_FILE_EVERY = 5.0  # seconds between two versions of run.json while frames come in
 MAX_DEPTH_MM = 65535  # 16UC1; what lies farther is written as unknown, never as a wrong distance
 
 
@@ -42,6 +44,7 @@ class Run:
     dynamic_only  only pixels that a person hides are synthesised
     options       flat, "stage.field" -> value
     segmenter     what made the masks, as it describes itself (with the SHA-256 of its model); None: files
+    reading       what was chosen on opening the recording (reader, topics, tolerance); None: there is no choice
     """
 
     seepast: str
@@ -53,6 +56,7 @@ class Run:
     dynamic_only: bool
     options: Mapping[str, Any]
     segmenter: Mapping[str, Any] | None = None
+    reading: Mapping[str, Any] | None = None
 
 
 class FolderWriter:
@@ -83,10 +87,12 @@ class FolderWriter:
         self._rotation = rotation
         self._run = json.loads(json.dumps(asdict(run)))
         self._milliseconds: list[Mapping[str, float]] = []
+        self._run_written = -RUN_FILE_EVERY
         self._covered: list[float] = []
         _make_writable(self.out)
         self._before = _earlier_run(self.out)
         self._take_over(overwrite)
+        self._by_frame = dict((self._before or {}).get("frame_milliseconds") or {})
         atomic.remove_parts(self.out)
 
     def __enter__(self) -> FolderWriter:
@@ -120,7 +126,10 @@ class FolderWriter:
             atomic.write_png(path, mask)
         atomic.write_png(coverage, result.coverage)
         self._milliseconds.append({**result.timings, "total": total_ms})
+        self._by_frame[stamp] = {stage: round(ms, 3) for stage, ms in self._milliseconds[-1].items()}
         self._covered.append(float((result.coverage > 0).mean()))
+        if time.monotonic() - self._run_written >= RUN_FILE_EVERY:
+            self._write_run()
 
     def close(self) -> None:
         """Leave run.json with the figures of this run; one that added no frame keeps the earlier figures."""
@@ -162,8 +171,15 @@ class FolderWriter:
         settings = {key: value for key, value in self._run.items() if key not in ("seepast", "options")}
         atomic.write_json(
             self.out / RUN_FILE,
-            {"versions": versions, **settings, **self.summary(), "options": self._run["options"]},
+            {
+                "versions": versions,
+                **settings,
+                **self.summary(),
+                "options": self._run["options"],
+                "frame_milliseconds": self._by_frame,
+            },
         )
+        self._run_written = time.monotonic()
 
     def _write_camera(self, geometry: ArrayGeometry) -> None:
         atomic.write_bytes(self.out / CAMERA_FILE, camera_yaml(geometry, self.cameras, self._rotation).encode())
@@ -240,8 +256,13 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
     def flat(run: Mapping[str, Any]) -> dict[str, Any]:
         settings = {key: run.get(key) for key in now if key not in ("options", "seepast", "segmenter")}
         version = run.get("seepast", run.get("versions", {}).get("seepast"))
-        segmenter = {f"segmenter.{key}": value for key, value in (run.get("segmenter") or {}).items()}
-        return {"seepast": version, **settings, **segmenter, **(run.get("options") or {})}
+        return {"seepast": version, **settings, **segmenter(run), **(run.get("options") or {})}
+
+    def segmenter(run: Mapping[str, Any]) -> dict[str, Any]:
+        said = run.get("segmenter") or {"kind": "files"}
+        if not (before.get("segmenter") and now.get("segmenter")):
+            return {"segmenter": said["kind"]}
+        return {f"segmenter.{key}": value for key, value in said.items()}
 
     old, new = flat(before), flat(now)
     keys = [key for key in dict.fromkeys([*new, *old]) if old.get(key) != new.get(key)]

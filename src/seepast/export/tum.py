@@ -68,7 +68,7 @@ def write_tum(view: View, frames: Iterable[tuple[int, Written]], path: Path, opt
             (path / f"{name}_sync").symlink_to(name, target_is_directory=True)
     if lost:
         log.warning(
-            "%.1f %% of the depth lies beyond %.1f m, what 16 bits hold at %g units per metre, and is left out; "
+            "%.2g %% of the depth lies beyond %.1f m, what 16 bits hold at %g units per metre, and is left out; "
             "a smaller --depth-factor reaches farther",
             100 * lost / known, LARGEST / options.depth_factor, options.depth_factor,
         )  # fmt: skip

@@ -28,32 +28,34 @@ from .protocol import Segmenter
 __all__ = ["PRESETS", "SEGMENTERS", "OnnxSegmenter", "SegmentedDataset", "Segmenter", "open_segmenter"]
 
 
-def _open_onnx(rest: str, classes: Sequence[str] | None) -> Segmenter:
+def _open_onnx(rest: str, classes: Sequence[str] | None, threads: int) -> Segmenter:
     """rest: MODEL[:preset], where MODEL is a file or the name of a public model that `seepast models get` fetched."""
     name, colon, preset = rest.rpartition(":")
     if not colon or rest.lower().endswith(".onnx"):  # a colon may also be part of the path
         name, preset = rest, ""
     path, usual = find_model(name)
-    return OnnxSegmenter(path, preset or usual, classes)
+    return OnnxSegmenter(path, preset or usual, classes, threads=threads)
 
 
-SEGMENTERS: dict[str, Callable[[str, Sequence[str] | None], Segmenter]] = {"onnx": _open_onnx}
+# kind -> what opens it: (what stands after "kind:", classes, threads) -> Segmenter
+SEGMENTERS: dict[str, Callable[[str, Sequence[str] | None, int], Segmenter]] = {"onnx": _open_onnx}
 
 
-def open_segmenter(spec: str, classes: Sequence[str] | None = None) -> Segmenter:
+def open_segmenter(spec: str, classes: Sequence[str] | None = None, *, threads: int = 0) -> Segmenter:
     """Make the segmenter that `spec` names.
 
     spec     "onnx:MODEL.onnx", "onnx:MODEL.onnx:preset", "onnx:NAME" of a model fetched before, or "module:factory" and
              "file.py:factory": factory() or, where classes are given, factory(classes=[...]) returns a Segmenter or a
              plain function from K images to K masks
     classes  names or numbers of what may move; None = people
+    threads  for networks; 0 = as many as there are cores
 
     Raises ModelError for what cannot be found or used, OptionsError for classes that the network does not know, and
     MissingExtraError where onnxruntime is needed and missing.
     """
     kind, colon, rest = spec.partition(":")
     if colon and kind in SEGMENTERS:
-        return SEGMENTERS[kind](rest, classes)
+        return SEGMENTERS[kind](rest, classes, threads)
     module, colon, factory = spec.rpartition(":")
     if not (colon and module and factory):
         raise ModelError(f"--segmenter {spec}: write onnx:MODEL.onnx, onnx:MODEL.onnx:PRESET or MODULE:FACTORY")

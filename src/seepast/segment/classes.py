@@ -75,6 +75,8 @@ def names_in_model(metadata: Mapping[str, str]) -> Names | None:
         names = dict(enumerate(names))
     if not isinstance(names, dict) or not all(isinstance(number, int) for number in names):
         return None
+    if all(str(name) == str(number) for number, name in names.items()):  # what stands there before anybody fills it in
+        return None
     return {number: str(name).lower() for number, name in names.items()}
 
 

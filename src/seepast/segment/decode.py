@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import ModelError
 from .prepare import Placement, Size
 
+MOST = 300  # objects in one image; more are noise
 SAME_OBJECT = 0.7  # boxes of one class that overlap by more (intersection over union) are one object
 
 
@@ -62,10 +63,12 @@ def class_map(output: np.ndarray, placement: Placement, channels_last: bool, cho
 def probabilities(planes: np.ndarray) -> np.ndarray:
     """float32 [C, h, w] that sums to 1 over C: the softmax, or `planes` where the network has taken it already."""
     planes = planes.astype(np.float32)
-    if planes.min() >= -1e-3 and np.allclose(planes.sum(axis=0), 1, atol=1e-2):
+    if planes.min() >= -1e-3 and np.abs(planes.sum(axis=0) - 1).max() < 1e-2:
         return planes
-    raised = np.exp(planes - planes.max(axis=0))
-    return raised / raised.sum(axis=0)
+    planes -= planes.max(axis=0)
+    np.exp(planes, out=planes)
+    planes /= planes.sum(axis=0)
+    return planes
 
 
 def _channels_first(output: np.ndarray, channels_last: bool, counts: tuple[int, ...] = ()) -> np.ndarray:
@@ -80,7 +83,9 @@ def _channels_first(output: np.ndarray, channels_last: bool, counts: tuple[int, 
 
 
 def _enlarged(p: np.ndarray, placement: Placement) -> np.ndarray:
-    """float32 in the image's pixels; the map covers the whole image, stretched."""
+    """float32 in the image's pixels; the map covers the whole image, stretched. Raises ModelError for NaN."""
+    if not np.isfinite(p).all():
+        raise ModelError("its output holds NaN or infinities; the file, or its number format, is at fault")
     return np.clip(cv2.resize(p.astype(np.float32), placement.size, interpolation=cv2.INTER_LINEAR), 0, 1)
 
 
@@ -90,13 +95,13 @@ def instances(found: Detections, placement: Placement, size: Size, chosen: Seque
 
     size: (width, height) of the network's input; least: scores below do not count.
     """
-    found = found[np.isin(found.labels, chosen) & (found.scores >= least)]
+    found = _wanted(found, chosen, least)
     p = np.zeros(placement.size[::-1], np.float32)
-    whole = found.masks.shape[-2:] == size[::-1]
+    whole = found.masks.shape[-2:] == size[::-1]  # pasted already, and a little beyond their boxes
     for box, mask in zip(found.boxes, found.masks, strict=True):
         cells = np.ascontiguousarray(mask.reshape(mask.shape[-2:]), np.float32)
-        covers = (0.0, 0.0, float(size[0]), float(size[1])) if whole else tuple(float(v) for v in box)
-        _paint(p, cells, covers, box, placement)
+        covers = np.array((0, 0, *size) if whole else box, float)
+        _paint(p, cells, covers, covers, placement)
     return np.clip(p, 0, 1)
 
 
@@ -112,19 +117,24 @@ def prototypes(
 
     P = sigmoid of the weighted sum, inside the box. size, least: as in `instances`.
     """
-    found = found[np.isin(found.labels, chosen) & (found.scores >= least)]
+    found = _wanted(found, chosen, least)
     p = np.zeros(placement.size[::-1], np.float32)
-    covers = (0.0, 0.0, float(size[0]), float(size[1]))
+    covers = np.array((0, 0, *size), float)
     for box, weights in zip(found.boxes, found.masks, strict=True):
         cells = np.tensordot(weights.astype(np.float32), planes.astype(np.float32), axes=1)
         _paint(p, cells, covers, box, placement, logits=True)
     return p
 
 
+def _wanted(found: Detections, chosen: Sequence[int], least: float) -> Detections:
+    whole = np.isfinite(found.boxes).all(axis=1)
+    return found[whole & np.isin(found.labels, chosen) & (found.scores >= least)]
+
+
 def _paint(
     p: np.ndarray,
     cells: np.ndarray,
-    covers: tuple[float, ...],
+    covers: np.ndarray,
     box: np.ndarray,
     placement: Placement,
     logits: bool = False,
@@ -193,14 +203,15 @@ def _best(centre: np.ndarray, scores: np.ndarray, masks: np.ndarray) -> Detectio
 
 
 def distinct(found: Detections, least: float = 0.05) -> Detections:
-    """Of boxes of one class that overlap by more than SAME_OBJECT only the best (greedy non-maximum suppression).
+    """Of boxes of one class that overlap by more than SAME_OBJECT only the best (greedy non-maximum suppression), and
+    the MOST best of all.
 
     least: scores below go first, so that thousands of nothings need not be compared.
     """
     found = found[np.flatnonzero(found.scores >= least)]
     order = np.argsort(-found.scores, kind="stable")
     kept: list[int] = []
-    while order.size:
+    while order.size and len(kept) < MOST:
         first, rest = order[0], order[1:]
         kept.append(int(first))
         same = (found.labels[rest] == found.labels[first]) & (

@@ -7,6 +7,7 @@ import hashlib
 import http.client
 import logging
 import os
+import ssl
 import urllib.error
 import urllib.request
 from collections.abc import Callable
@@ -45,7 +46,7 @@ def fetch(model: PublicModel, path: Path, on_bytes: Callable[[int], None] = lamb
         os.replace(part, path)
     except urllib.error.HTTPError as error:
         raise ModelError(f"{model.address}: the server says {error.code} {error.reason}; try again later") from error
-    except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError) as error:
+    except (urllib.error.URLError, http.client.HTTPException, TimeoutError, ConnectionError, ssl.SSLError) as error:
         reason = getattr(error, "reason", None) or error
         raise ModelError(
             f"{model.address}: no connection ({reason}); with a network, say the same again and it goes on, or fetch "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,15 @@ from .onnx_model import OnnxModel
 from .prepare import Placement
 from .presets import HEADS, Preset, Shape, find_preset, guess_preset
 
+log = logging.getLogger("seepast")
+
 Prepared = tuple[np.ndarray, Placement]  # what goes in, [h, w, 3], and where the image lies in it
 
 
 class OnnxSegmenter:
     """A Segmenter that runs an ONNX network; presets.PRESETS lists the kinds.
 
-    preset   None: guessed from the shapes of its input and outputs
+    preset   None: guessed from the shapes of its input and outputs, tried out where the file does not tell them
     classes  names or numbers of the classes that may move; None: person
     least    score below which an object does not count; None: as the preset has it
     threads  0 = as many as there are cores
@@ -42,12 +45,13 @@ class OnnxSegmenter:
         self.model = OnnxModel(Path(path), threads)
         self.classes = tuple(classes or PEOPLE)
         try:
-            self.preset_name = preset or guess_preset(self.model.signature)
+            self.preset_name = preset or _guessed(self.model)
             self.preset: Preset = find_preset(self.preset_name)
             self._channels_last = self.model.signature.channels_last
         except ModelError as error:
             raise ModelError(f"{path}: {error}") from None
         self.least = self.preset.least if least is None else least
+        self._one_by_one = self.preset.kind == "instances"  # whose objects do not say which image they are of
         self._chosen: tuple[int, ...] | None = None
         if self.preset.kind == "people" and [word.lower() for word in self.classes] != list(PEOPLE):
             raise OptionsError(f"--classes {','.join(self.classes)}: {path} knows people only; leave --classes out")
@@ -58,7 +62,7 @@ class OnnxSegmenter:
         said: dict[str, Any] = {
             "kind": "onnx",
             "model": str(self.model.path.resolve()),
-            "sha256": self.model.sha256,
+            **self.model.digests,
             "preset": self.preset_name,
             "provider": self.model.provider,
         }
@@ -82,8 +86,7 @@ class OnnxSegmenter:
     def _groups(self, prepared: Sequence[Prepared]) -> Iterator[Sequence[Prepared]]:
         """As many images at once as the model takes, all of one size."""
         alike = len({values.shape for values, _ in prepared}) == 1
-        several = alike and self.preset.kind != "instances"  # whose objects do not say which image they are of
-        n = (self.model.signature.batch or len(prepared)) if several else 1
+        n = (self.model.signature.batch or len(prepared)) if alike and not self._one_by_one else 1
         return (prepared[i : i + n] for i in range(0, len(prepared), n))
 
     def _maps(self, group: Sequence[Prepared]) -> list[np.ndarray]:
@@ -94,7 +97,16 @@ class OnnxSegmenter:
         lacking = (self.model.signature.batch or 0) - len(batch)
         if lacking > 0:
             batch = np.concatenate([batch, np.repeat(batch[-1:], lacking, axis=0)])
-        outputs = self.model.run(batch[0] if len(self.model.signature.input.shape) == 3 else batch)
+        try:
+            outputs = self.model.run(batch[0] if len(self.model.signature.input.shape) == 3 else batch)
+        except ModelError as error:
+            if len(group) == 1 or self.model.signature.batch:
+                raise
+            log.warning(
+                "%s: takes images only one by one, though its shapes say otherwise (%s)", self.model.path, error
+            )
+            self._one_by_one = True
+            return [p for prepared in group for p in self._maps([prepared])]
         self._choose([output.shape for output in outputs], last=True)
         return [self._map(outputs, i, *group[i]) for i in range(len(group))]
 
@@ -137,7 +149,19 @@ class OnnxSegmenter:
             return None
         head, axis = HEADS[self.preset.rows]
         along, weights = by_axes[3][axis], by_axes[4][1]
-        return along - head - weights if along and weights else None
+        count = along - head - weights if along and weights else 0
+        return count if count > 0 else None
+
+
+def _guessed(model: OnnxModel) -> str:
+    try:
+        return guess_preset(model.signature)
+    except ModelError as unclear:
+        try:
+            model.probe()
+        except ModelError:
+            raise unclear from None
+    return guess_preset(model.signature)
 
 
 def _with_axes(outputs: list[np.ndarray], axes: int) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from ..errors import ModelError
 from .classes import COCO, COCO_AFTER_BACKGROUND, COCO_CATEGORIES, Names
@@ -10,9 +11,8 @@ from .prepare import Preparation
 
 Shape = tuple[int | None, ...]  # None: the model leaves this axis open
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-IMAGENET = Preparation(mean=IMAGENET_MEAN, std=IMAGENET_STD)
-ZERO_TO_ONE = Preparation()
-MINUS_ONE_TO_ONE = Preparation(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
+HALF = (0.5, 0.5, 0.5)
+IMAGENET = Preparation(mean=IMAGENET_MEAN, std=IMAGENET_STD, size=(512, 512))
 YOLO = Preparation(fit="letterbox", size=(640, 640))
 
 
@@ -55,6 +55,18 @@ class Signature:
         """Images in one run; None: any number."""
         return 1 if len(self.input.shape) == 3 else self.input.shape[0]
 
+    def completed(self, outputs: Sequence[Sequence[int]]) -> Signature:
+        """With the shapes that outputs really had, where the model left them open; the batch and objects stay open."""
+        known = [
+            replace(
+                tensor, shape=tensor.shape[:1] + tuple(n or m for n, m in zip(tensor.shape[1:], real[1:], strict=True))
+            )
+            if len(tensor.shape) == len(real)
+            else replace(tensor, shape=(None, *real[1:]))
+            for tensor, real in zip(self.outputs, outputs, strict=True)
+        ]
+        return replace(self, outputs=tuple(known))
+
     @property
     def main(self) -> int:
         """Index of the output "out", beside which torchvision's networks have one for training; else of the first."""
@@ -83,11 +95,17 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "selfie": Preset("MediaPipe selfie: P(person), RGB in 0..1", "people", ZERO_TO_ONE),
-    "pphumanseg": Preset("PP-HumanSeg: background and person, RGB in -1..1", "people", MINUS_ONE_TO_ONE),
+    "selfie": Preset("MediaPipe selfie: P(person), RGB in 0..1", "people", Preparation(size=(256, 144))),
+    "pphumanseg": Preset(
+        "PP-HumanSeg: background and person, RGB in -1..1", "people", Preparation(mean=HALF, std=HALF, size=(192, 192))
+    ),
     "people": Preset("P(person), RGB normalised as ImageNet", "people", IMAGENET),
     "deeplab": Preset("DeepLab, FCN of torchvision: class logits, RGB normalised as ImageNet", "classes", IMAGENET),
-    "deeplab-tf": Preset("DeepLab of TensorFlow: class logits or labels, RGB in -1..1", "classes", MINUS_ONE_TO_ONE),
+    "deeplab-tf": Preset(
+        "DeepLab of TensorFlow: class logits or labels, RGB in -1..1",
+        "classes",
+        Preparation(mean=HALF, std=HALF, size=(513, 513)),
+    ),
     "segformer": Preset("SegFormer: class logits, RGB normalised as ImageNet", "classes", IMAGENET),
     "maskrcnn": Preset("Mask R-CNN of torchvision, RGB in 0..1", "instances", Preparation(fit="none"), COCO_CATEGORIES),
     "maskrcnn-zoo": Preset(

@@ -1,0 +1,71 @@
+"""Which topic of a bag shows which camera, or its masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import DatasetError
+from ..rig import Camera
+from .bag import IMAGE_TYPES, Bag
+
+MASK_TOPICS = "topics:"  # the masks argument begins so where masks are messages, too
+
+
+def image_topics(bag: Bag, cameras: Sequence[Camera], topics: str | None, rig_file: Path) -> list[str]:
+    """The bag's names of the image topics in the order of `cameras`: `topics`, or else the rostopic of each.
+
+    Raises DatasetError, naming the image topics that there are.
+    """
+    if topics is not None:
+        return [_there(bag, topic, "--topics names") for topic in _listed(topics, cameras, "--topics")]
+    for camera in cameras:
+        if camera.topic is None:
+            raise DatasetError(
+                f"{rig_file}: names no rostopic for {camera.name}; add it, or say --topics TOPIC,TOPIC,... in the "
+                f"order of its cameras; {_image_topics_there(bag)}"
+            )
+    return [_there(bag, str(camera.topic), f"{rig_file} names") for camera in cameras]
+
+
+def mask_topics(bag: Bag, cameras: Sequence[Camera], masks: str | None) -> list[str]:
+    """Likewise for masks, "topics:" and the topics; none for masks that lie elsewhere."""
+    if masks is None or not masks.startswith(MASK_TOPICS):
+        return []
+    listed = _listed(masks.removeprefix(MASK_TOPICS), cameras, f"--masks {MASK_TOPICS}")
+    return [_there(bag, topic, "--masks names") for topic in listed]
+
+
+def _listed(topics: str, cameras: Sequence[Camera], option: str) -> list[str]:
+    """One topic per camera from "a,b,c" or "/{}/image"."""
+    listed = [topic.strip() for topic in topics.split(",") if topic.strip()]
+    if len(listed) == 1 and "{}" in listed[0]:
+        return [listed[0].replace("{}", camera.name) for camera in cameras]
+    if len(listed) != len(cameras) or len(set(listed)) < len(listed):
+        raise DatasetError(
+            f"{option}: give {len(cameras)} different topics with commas between them, in the order of the rig's "
+            f"cameras, or one with {{}} for the camera's name; not {topics!r}"
+        )
+    return listed
+
+
+def _there(bag: Bag, topic: str, who: str) -> str:
+    """The bag's name of an image topic: as it is, with or without its leading slash, with /compressed behind it."""
+    base = "/" + topic.strip("/")
+    for name in (topic, base, base[1:], f"{base}/compressed", f"{base[1:]}/compressed"):
+        if bag.topics.get(name) in IMAGE_TYPES:
+            return name
+    kind = bag.topics.get(base) or bag.topics.get(base[1:])
+    problem = f"is of type {kind}, not an image" if kind else "is not in the bag"
+    raise DatasetError(
+        f"{bag.path}: {who} {topic}, which {problem}; {_image_topics_there(bag)}: choose with --topics or --masks "
+        f"{MASK_TOPICS}..., or mend rostopic in the rig"
+    )
+
+
+def _image_topics_there(bag: Bag) -> str:
+    images = sorted(topic for topic, kind in bag.topics.items() if kind in IMAGE_TYPES)
+    if images:
+        return f"the bag has the images {', '.join(images)}"
+    others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "nothing"
+    return f"the bag has no sensor_msgs/Image or CompressedImage, but {others}"
