@@ -15,9 +15,10 @@ constexpr int kBlock = 64;  // columns that are matched together, and empty colu
 constexpr int kChunk = 16;       // candidates.py CHUNK
 constexpr int kMostChunks = 64;  // bits of a pixel's active chunks
 
-// disparity uint16 [rows, columns] of views `ratio` times smaller; active uint64 [height, width].
-void windows(const uint16_t* disparity, int rows, int columns, int ratio, const Grid& grid, int reach,
-             int spread, int height, int width, uint64_t* active);
+// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height,
+// width].
+void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active);
 
 // Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x +
 // kBlock. The words of census and valid take 8 planes. Outside the image all is 0. Phase p is the sample at x

@@ -24,8 +24,8 @@ void row_bits(const uint16_t* d, int width, int ratio, const Grid& grid, int rea
 
 }  // namespace
 
-void windows(const uint16_t* disparity, int rows, int columns, int ratio, const Grid& grid, int reach,
-             int spread, int height, int width, uint64_t* active) {
+void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active) {
   std::vector<uint64_t> bits(static_cast<size_t>(rows) * columns);
 #pragma omp parallel for schedule(static)
   for (int y = 0; y < rows; ++y) {
@@ -45,6 +45,8 @@ void windows(const uint16_t* disparity, int rows, int columns, int ratio, const 
         for (int x = i; x < columns; ++x) around[x] |= column[x - i];
         for (int x = 0; x < columns - i; ++x) around[x] |= column[x + i];
       }
+      for (int x = 0; x < columns; ++x)
+        if (!where[static_cast<size_t>(y) * columns + x]) around[x] = 0;
       const int first = y * ratio, last = y + 1 < rows ? std::min(height, first + ratio) : height;
       for (int fine = first; fine < last; ++fine)
         for (int x = 0; x < width; ++x)

@@ -45,7 +45,7 @@ class Candidates:
     """Which of the grid every pixel of a view is matched at, in chunks of CHUNK neighbouring candidates.
 
     grid    grid.count is a multiple of CHUNK, at most 64 of them
-    active  uint64 [H, W], bit j: candidates CHUNK j .. CHUNK (j + 1) - 1. Every pixel has one bit or more
+    active  uint64 [H, W], bit j: candidates CHUNK j .. CHUNK (j + 1) - 1. A pixel without any is not matched at all
     start   int32 [H W + 1]: pixel y W + x owns rows start[p] .. start[p + 1] - 1 of a volume uint8 [start[-1], CHUNK],
             its chunks from the farthest (j lowest) on
     """

@@ -108,3 +108,22 @@ def level_grid(span: tuple[float, float], scale: int, step: float) -> DisparityG
     spacing = max(spacing, int(np.ceil((high - first) / (MOST_CHUNKS * CHUNK - 1))))
     count = int(np.ceil((high - first) / spacing)) + 1
     return DisparityGrid(first, spacing, -(-count // CHUNK) * CHUNK)
+
+
+def beside(views: np.ndarray, reach: int) -> np.ndarray:
+    """bool [K, h, w] grown by `reach` px along rows and columns."""
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    return np.stack([cv2.dilate(np.ascontiguousarray(view).view(np.uint8), square) > 0 for view in views])
+
+
+def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    """Where the rays of the reference's pixels `hidden` bool [h, w], disparity px [h, w], end in each view:
+    bool [K, h, w]."""
+    out = np.zeros((geometry.cameras, *hidden.shape), bool)
+    y, x = np.nonzero(hidden)
+    d = disparity[y, x]
+    for k in range(geometry.cameras):
+        u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d))
+        there = (u >= 0) & (u < hidden.shape[1]) & (v >= 0) & (v < hidden.shape[0])
+        out[k, v[there], u[there]] = True
+    return out

@@ -39,10 +39,16 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
 
 
 def windows(
-    disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, spread: int, shape: tuple[int, ...]
+    disparity: np.ndarray,
+    where: np.ndarray,
+    ratio: int,
+    grid: DisparityGrid,
+    reach: int,
+    spread: int,
+    shape: tuple[int, ...],
 ) -> np.ndarray:
     active = np.empty(shape, np.uint64)
-    _core.windows(disparity, ratio, _grid(grid), reach, spread, active)
+    _core.windows(disparity, _bytes(where), ratio, _grid(grid), reach, spread, active)
     return active
 
 

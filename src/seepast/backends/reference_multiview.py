@@ -104,14 +104,20 @@ def moved(planes: np.ndarray, dy: int, dx: int) -> np.ndarray:
 
 
 def windows(
-    disparity: np.ndarray, ratio: int, grid: DisparityGrid, reach: int, spread: int, shape: tuple[int, ...]
+    disparity: np.ndarray,
+    where: np.ndarray,
+    ratio: int,
+    grid: DisparityGrid,
+    reach: int,
+    spread: int,
+    shape: tuple[int, ...],
 ) -> np.ndarray:
     """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity: uint64 [H, W], as
-    Candidates.active.
+    Candidates.active; none where `where` does not hold.
 
-    disparity uint16 [h, w] in 32nds of a pixel of views that are `ratio` times smaller than shape = (H, W). A pixel
-    takes the chunks of all coarse pixels within `spread` of its own: what is thin may have been missed there, and
-    surfaces end anywhere in between.
+    disparity uint16, where bool [h, w] of views that are `ratio` times smaller than shape = (H, W); disparity in
+    32nds of their pixels. A pixel takes the chunks of all coarse pixels within `spread` of its own: what is thin may
+    have been missed there, and surfaces end anywhere in between.
     """
     centre = disparity.astype(np.int64) * ratio - UNITS // EIGHTHS * grid.first
     spacing, last = UNITS // EIGHTHS * grid.step, grid.count - 1
@@ -120,7 +126,7 @@ def windows(
     bits = (np.uint64(2**64 - 1) >> (63 - (high - low)).astype(np.uint64)) << low.astype(np.uint64)
     h, w = bits.shape
     padded, side = np.pad(bits, spread), range(2 * spread + 1)
-    bits = np.bitwise_or.reduce([padded[i : i + h, j : j + w] for i in side for j in side])
+    bits = np.where(where, np.bitwise_or.reduce([padded[i : i + h, j : j + w] for i in side for j in side]), 0)
     y, x = ((np.arange(n) // ratio).clip(0, limit - 1) for n, limit in zip(shape, (h, w), strict=True))
     return bits[y[:, None], x]
 
