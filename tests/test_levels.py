@@ -77,13 +77,12 @@ def test_enlarged_repeats_pixels_and_continues_edges():
     assert enlarged(views, 1, (2, 3)) is views
 
 
-def test_views_at_a_finer_level_keep_depth_and_forget_what_is_not_static():
+def test_views_at_a_finer_level_keep_their_depth():
     static = SCENE.dynamic <= 127
-    fine = Level.of(SCENE.colour, static, SCENE.geometry, 1)
-    coarse = Views(2, np.full((4, 16, 37), 5 * UNITS, np.uint16), np.full((4, 16, 37), 20, np.uint8))
-    seen = coarse.at(fine)
-    assert seen.scale == 1 and (seen.disparity == 10 * UNITS).all()
-    assert np.array_equal(seen.confidence > 0, static)
+    levels = [Level.of(SCENE.colour, static, SCENE.geometry, scale) for scale in (2, 1)]
+    shape = levels[0].static.shape
+    coarse = Views(levels[0], np.full(shape, 5 * UNITS, np.uint16), np.full(shape, 20, np.uint8))
+    assert np.array_equal(coarse.at(levels[1]), np.full(static.shape, 10 * UNITS))
 
 
 @pytest.mark.parametrize("seed", range(40))

@@ -69,6 +69,11 @@ class Candidates:
         return Candidates(grid, active, chunks * np.arange(active.size + 1, dtype=np.int32))
 
     @property
+    def chunks(self) -> int:
+        """Of all pixels."""
+        return int(self.start[-1])
+
+    @property
     def mask(self) -> np.ndarray:
         """bool [H, W, count]: the candidates of every pixel."""
         chunks = np.arange(self.grid.count // CHUNK, dtype=np.uint64)

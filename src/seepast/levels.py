@@ -54,16 +54,14 @@ class Views:
     """What a level found in every view: disparity uint16 [K, h, w] in 32nds of one of its pixels over the array, and
     confidence uint8 [K, h, w] in 20ths."""
 
-    scale: int
+    level: Level
     disparity: np.ndarray
     confidence: np.ndarray
 
-    def at(self, level: Level) -> Views:
-        """The same on a finer level: every pixel repeated; confidence 0 where not static there."""
-        ratio, shape = self.scale // level.scale, level.static.shape[1:]
-        disparity = enlarged(self.disparity, ratio, shape) * np.uint16(ratio)
-        confidence = np.where(level.static, enlarged(self.confidence, ratio, shape), np.uint8(0))
-        return Views(level.scale, disparity, confidence)
+    def at(self, level: Level) -> np.ndarray:
+        """The disparities on a finer level, every pixel repeated: uint16 [K, H, W] in 32nds of its pixels."""
+        ratio = self.level.scale // level.scale
+        return enlarged(self.disparity, ratio, level.static.shape[1:]) * np.uint16(ratio)
 
 
 def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:

@@ -15,14 +15,16 @@ import cv2
 import numpy as np
 
 from . import backends
-from .candidates import Candidates
+from .candidates import Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import Level, Views, level_grid, scales
+from .levels import Level, Views, beside, landings, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people
 from .surfaces import static_span, surfaces
+
+AROUND = 16  # px around what is asked for that is matched too
 
 if TYPE_CHECKING:
     from .pipeline import Clock
@@ -54,12 +56,11 @@ def see_past(
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options)
 
-    found = None
+    found: Views | None = None
     for scale in scales(geometry, o):  # coarse to fine: each level looks around what the one before it found
         with clock("describe"):
             level = Level.of(colour, static, geometry, scale)
-        every_view = scale > 1 or o.fine_views
-        found = (every_view_at if every_view else wanted_view_at)(level, span, found, options, backend, clock)
+        found = at_level(level, span, found, dynamic_only, options, backend, clock)
     assert found is not None
     d = found.disparity[r]
 
@@ -98,64 +99,79 @@ def agreement(o: MultiviewOptions) -> int:
     return round(UNITS * o.tolerance)
 
 
-def every_view_at(level: Level, span, before: Views | None, options: Options, backend, clock) -> Views:
+def at_level(
+    level: Level,
+    span: tuple[float, float],
+    before: Views | None,
+    dynamic_only: bool,
+    options: Options,
+    backend: ModuleType,
+    clock: Clock,
+) -> Views:
     """Every camera is a reference once, then they vote: D_k and c_k of all views; the wanted one's with its own vote.
 
     span    (low, high) of the disparities, px of full-size views
-    before  what the next coarser level found; None: the whole span is looked through
+    before  what the next coarser level found; None: the whole span is looked through, everywhere
     """
     o, r, K = options.multiview, level.geometry.reference, level.geometry.cameras
     first, final = penalties(o)
     colour, static, views = level.colour, level.static, level.views
-    with clock("candidates"):
-        candidates = [around(before, k, level, span, options, backend) for k in range(K)]
+    grid = level_grid(span, level.scale, options.range.step)
+    with clock("candidates"):  # what is not matched here stays as the coarser level found it
+        area = None if before is None else asked_for(before, level, o, dynamic_only)
+        candidates = [around(before, area, k, level, grid, o, backend) for k in range(K)]
+        found = np.zeros(static.shape, np.uint16) if before is None else before.at(level)
+        matched = [k for k in range(K) if candidates[k].chunks]
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = [backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in range(K)]
+        costs = {k: backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in matched}
         del features  # a fifth of the memory
-    with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
-        found = np.stack([backend.aggregate(costs[k], colour[k], static[k], candidates[k], first) for k in range(K)])
-    found, confidence = confirmed(found, level, o, backend, clock)
-    for _ in range(o.rounds - 1):  # once more, with what the others saw
-        better = []
-        for k in range(K):
-            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                energy = backend.votes(
-                    costs[k], found, confidence, static[k], views[k], candidates[k], k, VoteWeights.of(o)
+
+    energies = costs
+    for once_more in range(o.rounds):
+        if once_more:
+            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2: what the others saw
+                energies = {
+                    k: backend.votes(
+                        costs[k], found, confidence, static[k], views[k], candidates[k], k, VoteWeights.of(o)
+                    )
+                    for k in matched
+                }
+        with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
+            better = found.copy()
+            for k in matched:
+                better[k] = backend.aggregate(
+                    energies[k], colour[k], static[k], candidates[k], first, o.paths, found[k]
                 )
-            with clock("aggregate"):
-                better.append(backend.aggregate(energy, colour[k], static[k], candidates[k], first))
-        found, confidence = confirmed(np.stack(better), level, o, backend, clock)
-    seen = Views(level.scale, found, confidence)
-    found[r] = wanted_view(level, costs[r], candidates[r], seen, final, VoteWeights.of(o), o, backend, clock)
+        found, confidence = confirmed(better, level, o, backend, clock)
+    seen = Views(level, found, confidence)
+    if r in matched:
+        everywhere = area is None or bool(area.all())
+        # views that are known to 2 px only have no say where the wanted one sees for itself
+        weights = replace(VoteWeights.of(o), visible=everywhere)
+        smooth = final if everywhere else first
+        seen.disparity[r] = wanted_view(seen, costs[r], candidates[r], smooth, weights, o, backend, clock)
     return seen
 
 
-def wanted_view_at(level: Level, span, before: Views, options: Options, backend, clock) -> Views:
-    """Only the wanted view is matched; the others are what the coarser level found."""
-    o, r = options.multiview, level.geometry.reference
-    with clock("candidates"):
-        candidates = around(before, r, level, span, options, backend)
-        seen = before.at(level)
-    with clock("describe"):
-        features = backend.describe(level.colour, level.static)
-    with clock("volume"):
-        costs = backend.volume(features, level.geometry, candidates, PairCosts.of(o))
-    # coarse views know a pixel to 2 px: they have no say where the wanted view sees for itself
-    weights = replace(VoteWeights.of(replace(o, vote_gain=o.coarse_vote_gain)), visible=False)
-    seen.disparity[r] = wanted_view(level, costs, candidates, seen, penalties(o)[0], weights, o, backend, clock)
-    return seen
-
-
-def wanted_view(level: Level, costs, candidates, seen: Views, smooth, weights, o, backend, clock) -> np.ndarray:
+def wanted_view(
+    seen: Views,
+    costs: np.ndarray,
+    candidates: Candidates,
+    smooth: Penalties,
+    weights: VoteWeights,
+    o: MultiviewOptions,
+    backend: ModuleType,
+    clock: Clock,
+) -> np.ndarray:
     """The wanted view's disparity by all views' votes, its own included: uint16 [h, w]."""
-    r, geometry = level.geometry.reference, level.geometry
+    level, geometry, r = seen.level, seen.level.geometry, seen.level.geometry.reference
     colour, static = level.colour[r], level.static[r]
     with clock("votes"):
         energy = backend.votes(costs, seen.disparity, seen.confidence, static, geometry, candidates, -1, weights)
     with clock("aggregate"):
-        d = backend.aggregate(energy, colour, static, candidates, smooth)
+        d = backend.aggregate(energy, colour, static, candidates, smooth, o.paths, seen.disparity[r])
     if o.planes:
         with clock("planes"):  # where fewer than two static views agree
             agree, _ = backend.witnesses(d, seen.disparity, level.static, geometry, -1, agreement(o))
@@ -163,14 +179,37 @@ def wanted_view(level: Level, costs, candidates, seen: Views, smooth, weights, o
     return d
 
 
-def around(before: Views | None, k: int, level: Level, span, options: Options, backend) -> Candidates:
-    """Where camera k's view is matched: around what the coarser level found there, at first everywhere."""
-    grid, shape = level_grid(span, level.scale, options.range.step), level.static.shape[1:]
-    if before is None:
+def asked_for(before: Views, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray:
+    """Where the next finer level is matched: bool [K, h, w] in the pixels of `before`.
+
+    Everywhere; or, at full size without fine_views, the other views only around what people hide from the wanted
+    one; with dynamic_only that one too.
+    """
+    r, static = before.level.geometry.reference, before.level.static
+    if not dynamic_only and (o.fine_views or level.scale > 1):
+        return np.ones(static.shape, bool)
+    reach = -(-AROUND // before.level.scale)
+    d = before.disparity[r].astype(np.float32) / np.float32(UNITS)
+    area = beside(landings(~static[r], d, before.level.geometry), reach)
+    area[r] |= not dynamic_only
+    return area
+
+
+def around(
+    before: Views | None,
+    area: np.ndarray | None,
+    k: int,
+    level: Level,
+    grid: DisparityGrid,
+    o: MultiviewOptions,
+    backend: ModuleType,
+) -> Candidates:
+    """What camera k's view is matched at: within `area` around what the coarser level found; at first everything."""
+    shape = level.static.shape[1:]
+    if before is None or area is None:
         return Candidates.all(grid, shape)
-    reach, ratio = round(UNITS * options.multiview.window), before.scale // level.scale
-    active = backend.windows(before.disparity[k], ratio, grid, reach, options.multiview.spread, shape)
-    return Candidates.of(grid, active)
+    ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
+    return Candidates.of(grid, backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape))
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:

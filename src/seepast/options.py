@@ -145,8 +145,10 @@ class MultiviewOptions(StageOptions):
     )
     window: float = option(4.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
     spread: int = option(4, "px", 0, 16, "and of its neighbours that near: thin things are easily missed there")
-    fine_views: bool = option(True, "", None, None, "all views are matched at full size; else only the wanted one")
-    coarse_vote_gain: float = option(10.0, "", 0, 30, "vote_gain of views that were not")
+    fine_views: bool = option(
+        True, "", None, None, "at full size all views are matched everywhere; else only around what people hide"
+    )
+    paths: int = option(8, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
     colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")
     colour_cap: float = option(33.0, "", 0, 100, "it is never more; the census is 100 at most")
     few_cost: float = option(40.0, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
