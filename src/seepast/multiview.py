@@ -128,24 +128,17 @@ def at_level(
         costs = {k: backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in matched}
         del features  # a fifth of the memory
 
-    energies = costs
+    seen = Views(level, found, np.zeros(static.shape, np.uint8))
     for once_more in range(o.rounds):
-        if once_more:
-            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2: what the others saw
-                energies = {
-                    k: backend.votes(
-                        costs[k], found, confidence, static[k], views[k], candidates[k], k, VoteWeights.of(o)
-                    )
-                    for k in matched
-                }
-        with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
-            better = found.copy()
-            for k in matched:
-                better[k] = backend.aggregate(
-                    energies[k], colour[k], static[k], candidates[k], first, o.paths, found[k]
-                )
-        found, confidence = confirmed(better, level, o, backend, clock)
-    seen = Views(level, found, confidence)
+        better = seen.disparity.copy()
+        for k in matched:
+            energy = costs[k]
+            if once_more:
+                with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2: what the others saw
+                    energy = voted(energy, candidates[k], k, seen, views[k], VoteWeights.of(o), backend)
+            with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
+                better[k] = backend.aggregate(energy, colour[k], static[k], candidates[k], first, o.paths, found[k])
+        seen = confirmed(better, level, o, backend, clock)
     if r in matched:
         everywhere = area is None or bool(area.all())
         # views that are known to 2 px only have no say where the wanted one sees for itself
@@ -153,6 +146,20 @@ def at_level(
         smooth = final if everywhere else first
         seen.disparity[r] = wanted_view(seen, costs[r], candidates[r], smooth, weights, o, backend, clock)
     return seen
+
+
+def voted(
+    costs: np.ndarray,
+    candidates: Candidates,
+    k: int,
+    seen: Views,
+    view: ArrayGeometry,
+    weights: VoteWeights,
+    backend: ModuleType,
+) -> np.ndarray:
+    """Energies of view k by its costs and the other views' votes."""
+    static = seen.level.static[k]
+    return backend.votes(costs, seen.disparity, seen.confidence, static, view, candidates, k, weights)
 
 
 def wanted_view(
@@ -220,8 +227,8 @@ def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
     )
 
 
-def confirmed(found, level: Level, o: MultiviewOptions, backend, clock) -> tuple[np.ndarray, np.ndarray]:
-    """Every view's disparities with unconfirmed ones put on planes, and their confidence: uint16, uint8 [K, H, W]."""
+def confirmed(found: np.ndarray, level: Level, o: MultiviewOptions, backend: ModuleType, clock: Clock) -> Views:
+    """Every view's disparities, uint16 [K, h, w], with unconfirmed ones put on planes; and their confidence."""
     colour, static = level.colour, level.static
     confidence, completed = np.empty(found.shape, np.uint8), np.empty_like(found)
     for k, view in enumerate(level.views):
@@ -234,7 +241,7 @@ def confirmed(found, level: Level, o: MultiviewOptions, backend, clock) -> tuple
             completed[k] = (
                 backend.planes(found[k], sure & static[k], ~sure, colour[k], static[k]) if o.planes else found[k]
             )
-    return completed, confidence
+    return Views(level, completed, confidence)
 
 
 # ------------------------------------------------------------------------------------------------- picture
