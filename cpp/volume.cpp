@@ -1,11 +1,11 @@
-// Stage "volume" of the many-view method: matching costs of one view over all pairs of static rays.
-//
-// Blocks of 64 columns are matched candidate by candidate: at one candidate a block of a camera is read with
-// one constant shift, so that everything vectorises; a tile of candidates is then transposed into [x][d].
+// Stage "volume" of the many-view method. Runs block by block of columns and candidate by candidate, not
+// pixel by pixel: at one candidate a block of a camera is read with one constant shift, so that everything
+// vectorises, in bytes; the costs of a chunk of candidates are then transposed into [x][d] for the pixels
+// that want them.
 #include <algorithm>
 #include <cstdlib>
 #include <cstring>
-#include <initializer_list>
+#include <numeric>
 #include <vector>
 
 #include "multiview.h"
@@ -14,115 +14,167 @@ namespace seepast {
 namespace {
 
 constexpr int kMaxPairs = 64;
-constexpr int kScales = 64;  // entries of census_scale, two vectors of 32
-typedef uint16_t Lanes __attribute__((vector_size(64)));
+
 // Where a block of one camera is read at one candidate.
 struct Block {
-  const uint8_t* row;  // null: no ray of this block exists
-  int start, phase;    // column of the padded row
-  bool clear;          // every neighbour of every sample is static
-  const uint8_t* plane(int plane, size_t stride) const { return row + plane * stride + start; }
-  const uint64_t* words(int plane, size_t stride) const {
-    return reinterpret_cast<const uint64_t*>(row + plane * stride) + start;
+  const uint8_t* at;     // its census planes and colours; null: no ray of this block exists
+  const uint8_t* valid;  // its valid planes and static flags
+  bool clear;            // every neighbour of every sample is static
+  bool operator==(const Block& other) const { return at == other.at; }
+};
+
+// How to count the bits of bytes: most machines by sums of neighbouring bits ...
+struct SumBits {
+  static inline __attribute__((always_inline)) uint8_t nibbles(uint8_t v) {
+    const uint8_t pairs = static_cast<uint8_t>(v - ((v >> 1) & 0x55));
+    return static_cast<uint8_t>((pairs & 0x33) + ((pairs >> 2) & 0x33));
   }
-  bool operator==(const Block& other) const = default;
+  static inline __attribute__((always_inline)) uint8_t of(uint8_t a, uint8_t b, uint8_t c) {
+    const uint8_t sum = static_cast<uint8_t>(nibbles(a) + nibbles(b) + nibbles(c));
+    return static_cast<uint8_t>((sum & 15) + (sum >> 4));
+  }
+};
+// ... and some in one instruction.
+struct CountBits {
+  static inline __attribute__((always_inline)) uint8_t one(uint8_t v) {
+    return static_cast<uint8_t>(__builtin_popcount(v));
+  }
+  static inline __attribute__((always_inline)) uint8_t of(uint8_t a, uint8_t b, uint8_t c) {
+    return static_cast<uint8_t>(one(a) + one(b) + one(c));
+  }
 };
 
 inline __attribute__((always_inline)) uint8_t apart(uint8_t p, uint8_t q) {
-  return static_cast<uint8_t>(p > q ? p - q : q - p);
+  return static_cast<uint8_t>((p > q ? p : q) - (p > q ? q : p));
 }
 
-// Colour part of the cost in 256ths, and what rounds it.
-inline __attribute__((always_inline)) void colour_costs(const uint8_t* a, const uint8_t* b, size_t stride,
-                                                        const PairCostParams& params,
-                                                        uint16_t* __restrict out) {
-  const uint16_t limit = static_cast<uint16_t>(params.colour_limit),
-                 weight = static_cast<uint16_t>(params.colour_weight),
-                 cap = static_cast<uint16_t>(params.colour_cap);
-  const uint8_t *a1 = a + stride, *a2 = a1 + stride, *b1 = b + stride, *b2 = b1 + stride;
-  for (int x = 0; x < kBlock; ++x) {
-    const uint16_t sum = static_cast<uint16_t>(apart(a[x], b[x]) + apart(a1[x], b1[x]) + apart(a2[x], b2[x]));
-    const uint16_t cut = sum < limit ? sum : limit;
-    const uint16_t cost = static_cast<uint16_t>(cut * weight);
-    out[x] = static_cast<uint16_t>((cost < cap ? cost : cap) + 128);
-  }
+inline __attribute__((always_inline)) uint8_t mean(uint8_t p, uint8_t q) {  // rounded up
+  return static_cast<uint8_t>((p + q + 1) >> 1);
 }
 
-// census_scale[valid[x]]: a permutation of vectors where the machine has one (the loop would be a gather).
-inline __attribute__((always_inline)) void look_up(const uint16_t* table, const uint8_t* valid,
-                                                   uint16_t* out) {
-  Lanes low, high;
+// table[index[x]] of 32 entries, by permutations of vectors (the loop would be a gather).
+inline __attribute__((always_inline)) void look_up(const uint8_t* table, const uint8_t* index, uint8_t* out) {
+#if defined(__clang__)
+  for (int x = 0; x < kBlock; ++x) out[x] = table[index[x]];
+#else
+  Sixteen low, high, i;
   std::memcpy(&low, table, sizeof(low));
-  std::memcpy(&high, table + kScales / 2, sizeof(high));
-  for (int x = 0; x < kBlock; ++x) out[x] = valid[x];
-  for (int x = 0; x < kBlock; x += kScales / 2) {
-    Lanes index;
-    std::memcpy(&index, out + x, sizeof(index));
-    const Lanes found = __builtin_shuffle(low, high, index);
+  std::memcpy(&high, table + sizeof(low), sizeof(high));
+  for (int x = 0; x < kBlock; x += static_cast<int>(sizeof(i))) {
+    std::memcpy(&i, index + x, sizeof(i));
+    const Sixteen found = __builtin_shuffle(low, high, i);
     std::memcpy(out + x, &found, sizeof(found));
   }
+#endif
 }
 
 // Cost of one pair of rays for a block: reference_multiview.pair_cost.
+template <class Bits>
 inline __attribute__((always_inline)) void match_pair(const Block& a, const Block& b, size_t stride,
                                                       const PairCostParams& params, uint8_t* __restrict out) {
-  uint8_t differing[kBlock], valid[kBlock], both[kBlock];
-  uint16_t cost[kBlock], scale[kBlock];
-  colour_costs(a.plane(plane_colour(a.phase), stride), b.plane(plane_colour(b.phase), stride), stride, params,
-               cost);
-  const uint64_t *ca = a.words(plane_census(a.phase), stride), *cb = b.words(plane_census(b.phase), stride);
+  const uint8_t *a0 = a.at, *a1 = a0 + stride, *a2 = a1 + stride, *ab = a2 + stride, *ag = ab + stride,
+                *ar = ag + stride;
+  const uint8_t *b0 = b.at, *b1 = b0 + stride, *b2 = b1 + stride, *bb = b2 + stride, *bg = bb + stride,
+                *br = bg + stride;
+  const uint8_t cap = params.colour_cap;
+  const auto colour = [&](int x) {
+    const uint8_t step = mean(mean(apart(ab[x], bb[x]), apart(ar[x], br[x])), apart(ag[x], bg[x]));
+    return step < cap ? step : cap;
+  };
   if (a.clear && b.clear) {
-    for (int x = 0; x < kBlock; ++x) differing[x] = static_cast<uint8_t>(__builtin_popcountll(ca[x] ^ cb[x]));
-    const uint16_t all = params.census_scale[62];
-    for (int x = 0; x < kBlock; ++x)
-      out[x] = static_cast<uint8_t>(static_cast<uint16_t>(differing[x] * all + cost[x]) >> 8);
+    for (int x = 0; x < kBlock; ++x) {
+      const uint8_t differing = Bits::of(a0[x] ^ b0[x], a1[x] ^ b1[x], a2[x] ^ b2[x]);
+      out[x] = static_cast<uint8_t>(4 * differing + colour(x));
+    }
     return;
   }
-  const uint64_t *va = a.words(plane_valid(a.phase), stride), *vb = b.words(plane_valid(b.phase), stride);
+  const uint8_t *v0 = a.valid, *v1 = v0 + stride, *v2 = v1 + stride, *sa = v2 + stride;
+  const uint8_t *w0 = b.valid, *w1 = w0 + stride, *w2 = w1 + stride, *sb = w2 + stride;
+  uint8_t differing[kBlock], known[kBlock], scale[kBlock];
   for (int x = 0; x < kBlock; ++x) {
-    const uint64_t known = va[x] & vb[x];
-    valid[x] = static_cast<uint8_t>(__builtin_popcountll(known));
-    differing[x] = static_cast<uint8_t>(__builtin_popcountll((ca[x] ^ cb[x]) & known));
+    const uint8_t k0 = v0[x] & w0[x], k1 = v1[x] & w1[x], k2 = v2[x] & w2[x];
+    known[x] = Bits::of(k0, k1, k2);
+    differing[x] = Bits::of((a0[x] ^ b0[x]) & k0, (a1[x] ^ b1[x]) & k1, (a2[x] ^ b2[x]) & k2);
   }
-  const uint8_t *sa = a.plane(plane_static(a.phase), stride), *sb = b.plane(plane_static(b.phase), stride);
-  for (int x = 0; x < kBlock; ++x) both[x] = sa[x] & sb[x];
-  look_up(params.census_scale, valid, scale);
-  const uint16_t few = static_cast<uint16_t>(params.few);
+  look_up(params.census_scale, known, scale);
+  const uint8_t few = params.few;
   for (int x = 0; x < kBlock; ++x) {
-    const uint16_t part = static_cast<uint16_t>(differing[x] * scale[x] + (scale[x] ? 0 : few));
-    const uint8_t sum = static_cast<uint8_t>(static_cast<uint16_t>(part + cost[x]) >> 8);
-    out[x] = both[x] ? sum : kNoPair;
+    const uint16_t product = static_cast<uint16_t>(differing[x] * scale[x] + 4);
+    const uint8_t census = scale[x] ? static_cast<uint8_t>(product >> 3) : few;
+    const uint8_t cost = static_cast<uint8_t>(census + colour(x));
+    out[x] = sa[x] & sb[x] ? cost : kNoPair;
   }
 }
 
 SEEPAST_CLONES
 void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const PairCostParams& params,
                          uint8_t* out) {
-  match_pair(a, b, stride, params, out);
+#if defined(__aarch64__)
+  match_pair<CountBits>(a, b, stride, params, out);
+#else
+  match_pair<SumBits>(a, b, stride, params, out);
+#endif
 }
 
 using MatchPair = void (*)(const Block&, const Block&, size_t, const PairCostParams&, uint8_t*);
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-// Machines that count the bits of eight words at once (target_clones cannot name what they are).
-__attribute__((target("arch=x86-64-v4,avx512vpopcntdq"))) void match_pair_counting(
-    const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
-  match_pair(a, b, stride, params, out);
+// Machines that count the bits of 64 bytes at once (target_clones cannot name what they are).
+__attribute__((target("arch=x86-64-v4,avx512bitalg"))) void match_pair_counting(const Block& a,
+                                                                                const Block& b, size_t stride,
+                                                                                const PairCostParams& params,
+                                                                                uint8_t* out) {
+  match_pair<CountBits>(a, b, stride, params, out);
 }
 
 MatchPair best_match_pair() {
   __builtin_cpu_init();
-  const bool counts = __builtin_cpu_supports("avx512vpopcntdq") && __builtin_cpu_supports("avx512bw") &&
-                      __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq");
+  const bool counts = __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512bw") &&
+                      __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
+                      __builtin_cpu_supports("avx512cd");
   return counts ? match_pair_counting : match_pair_anywhere;
 }
 #else
 MatchPair best_match_pair() { return match_pair_anywhere; }
 #endif
 
-// Mean of the smaller half of `count` rows of costs, kNoPair where none exists. Reorders the rows.
+inline __attribute__((always_inline)) void order(uint8_t& a, uint8_t& b) {
+  const uint8_t low = a < b ? a : b, high = a < b ? b : a;
+  a = low, b = high;
+}
+
+// Mean of the smaller half of up to four costs, kNoPair where none exists: two costs or one.
 SEEPAST_CLONES
-void smaller_half(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
+void smaller_half_of_4(const uint8_t* const* rows, uint8_t* __restrict out) {
+  const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3];
+  for (int x = 0; x < kBlock; ++x) {
+    uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x];
+    order(a, b), order(c, d), order(a, c), order(b, d), order(b, c);
+    out[x] = c != kNoPair ? mean(a, b) : a;
+  }
+}
+
+// The same of up to six: three costs, two or one.
+SEEPAST_CLONES
+void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict out) {
+  const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3], *r4 = rows[4], *r5 = rows[5];
+  for (int x = 0; x < kBlock; ++x) {
+    uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x], e = r4[x], f = r5[x];
+    order(a, f), order(b, d), order(c, e);  // the shortest network that sorts six
+    order(b, c), order(d, e);
+    order(a, d), order(c, f);
+    order(a, b), order(c, d), order(e, f);
+    order(b, c), order(d, e);
+    const uint16_t sum = static_cast<uint16_t>(a + b + c + 1);
+    const uint8_t third = static_cast<uint8_t>(static_cast<uint32_t>(sum) * 21846 >> 16);
+    const uint8_t two = c != kNoPair ? mean(a, b) : a;
+    out[x] = e != kNoPair ? third : two;
+  }
+}
+
+// The same of any number. Reorders the rows.
+SEEPAST_CLONES
+void smaller_half_of_many(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
   uint8_t half[kBlock];
   for (int x = 0; x < kBlock; ++x) half[x] = 0;
   for (int p = 0; p < count; ++p)
@@ -153,13 +205,18 @@ void smaller_half(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
   }
 }
 
-// Puts what the view does not see itself, and what no pair sees, into a block of costs.
+// Puts what the view does not see itself into a block of costs.
 SEEPAST_CLONES
-void finish_block(const uint8_t* __restrict own, const uint8_t* __restrict theirs,
-                  const uint8_t* __restrict any, uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
+void put_theirs(const uint8_t* __restrict own, const uint8_t* __restrict theirs, uint8_t* __restrict out) {
+  for (int x = 0; x < kBlock; ++x) out[x] = own[x] ? out[x] : theirs[x];
+}
+
+// Puts what no pair sees.
+SEEPAST_CLONES
+void put_pairless(const uint8_t* __restrict any, uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
   for (int x = 0; x < kBlock; ++x) {
-    const uint8_t cost = own[x] ? out[x] : theirs[x], without = any[x] ? lone : unseen;
-    out[x] = cost != kNoPair ? cost : without;
+    const uint8_t without = any[x] ? lone : unseen;
+    out[x] = out[x] != kNoPair ? out[x] : without;
   }
 }
 
@@ -168,59 +225,128 @@ void add_static(const uint8_t* __restrict is_static, uint8_t* __restrict any) {
   for (int x = 0; x < kBlock; ++x) any[x] |= is_static[x];
 }
 
+// Whole rows that a ray of every camera lands on at every candidate, for row y.
+SEEPAST_CLONES
+void rows_at(int y, float cy, const float* zoom, const float* shift, const float* view, int count,
+             int32_t* __restrict out) {
+  for (int i = 0; i < count; ++i)
+    out[i] = y + whole_offset(ray_dy(RayShift{zoom[i], 0, shift[i], 0, view[i]}, y, cy));
+}
+
+// Where the columns of every camera are read at every candidate, in quarter pixels: the same for all rows.
+struct Columns {
+  Columns(const Array& array, const Grid& grid)
+      : cameras(array.cameras),
+        count(grid.count),
+        blocks((array.width + kBlock - 1) / kBlock),
+        quarters(static_cast<size_t>(blocks) * count * cameras),
+        broken(static_cast<size_t>(blocks) * count) {
+    for (int i = 0; i < count; ++i)
+      for (int k = 0; k < cameras; ++k) {
+        const RayShift shift = array.shift(k, grid.value(i));
+        shifts.push_back(shift);
+        zoom.push_back(shift.zoom), down.push_back(shift.y), view.push_back(shift.view_y);
+      }
+#pragma omp parallel for schedule(static)
+    for (int b = 0; b < blocks; ++b) fill(array, b);
+  }
+
+  void fill(const Array& array, int b) {
+    const int from = b * kBlock, last = std::min(from + kBlock, array.width) - 1;
+    for (int i = 0; i < count; ++i)
+      for (int k = 0; k < cameras; ++k) {
+        const size_t at = static_cast<size_t>(i) * cameras + k;
+        const int left = quarter_offset(ray_dx(shifts[at], from, array.cx));
+        const int right = quarter_offset(ray_dx(shifts[at], last, array.cx));
+        quarters[static_cast<size_t>(b) * count * cameras + at] = left;
+        if (left != right) broken[static_cast<size_t>(b) * count + i] = 1;
+      }
+  }
+
+  const int32_t* of(int block, int i) const {
+    return quarters.data() + (static_cast<size_t>(block) * count + i) * cameras;
+  }
+
+  int cameras, count, blocks;
+  std::vector<RayShift> shifts;  // [candidate][camera]
+  std::vector<float> zoom, down, view;
+  std::vector<int32_t> quarters;  // [block][candidate][camera]
+  std::vector<uint8_t> broken;    // [block][candidate]: some camera's offset changes within the block
+};
+
+struct Pairs {
+  const int32_t* cameras;  // [count, 2]
+  int count;
+};
+
 // One row of the volume.
 struct RowMatcher {
-  RowMatcher(const Array& array, const FeatureRows& features, int view, const Grid& grid,
-             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
-             const PairCostParams& params)
+  RowMatcher(const Array& array, const FeatureRows& features, int view, const Columns& columns,
+             const Chunks& chunks, const Pairs& with_own, const Pairs& others, const PairCostParams& params)
       : array(array),
         features(features),
         view(view),
-        grid(grid),
+        columns(columns),
+        chunks(chunks),
         pairs{with_own, others},
-        pair_counts{with_own_count, others_count},
-        params(params) {
-    for (int i = 0; i < grid.count; ++i)
-      for (int k = 0; k < array.cameras; ++k) {
-        const RayShift shift = array.shift(k, grid.value(i));
-        const int left = quarter_offset(ray_dx(shift, 0, array.cx));
-        const int right = quarter_offset(ray_dx(shift, array.width - 1, array.cx));
-        aims.push_back({shift, left, left == right, 0});
-      }
-    tile.resize(static_cast<size_t>(grid.count) * kBlock);
+        params(params),
+        rows(columns.zoom.size()) {
+    std::memset(nothing, kNoPair, sizeof(nothing));
   }
 
   void match_row(int y, uint8_t* out) {
-    for (Aim& aim : aims) aim.row = y + whole_offset(ray_dy(aim.shift, y, array.cy));
-    for (int from = 0; from < array.width; from += kBlock) {
-      const int to = std::min(from + kBlock, array.width);
-      const uint8_t* own =
-          features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
-      int seen = 0;
-      for (int x = 0; x < to - from; ++x) seen += own[x];
-      for (int i = 0; i < grid.count; ++i) match_block(from, to, i, own, seen, tile.data() + i * kBlock);
-      transpose(tile.data(), kBlock, grid.count, to - from, out + static_cast<size_t>(from) * grid.count,
-                grid.count);
+    rows_at(y, array.cy, columns.zoom.data(), columns.down.data(), columns.view.data(),
+            static_cast<int>(rows.size()), rows.data());
+    for (int b = 0; b < columns.blocks; ++b) {
+      const int from = b * kBlock, count = std::min(kBlock, array.width - from);
+      own = features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
+      seen = std::accumulate(own, own + count, 0);
+      width = count;
+      const size_t first = static_cast<size_t>(y) * array.width + from;
+      match_block(b, chunks.active + first, chunks.start + first, out);
     }
   }
 
-  // Candidate i for columns [from, to), runs of one shift at a time.
-  void match_block(int from, int to, int i, const uint8_t* own, int seen, uint8_t* out) {
-    const Aim* aim = aims.data() + static_cast<size_t>(i) * array.cameras;
+  // The chunks that some pixel of a block wants, from the farthest on.
+  void match_block(int b, const uint64_t* active, const int32_t* start, uint8_t* out) {
+    int32_t next[kBlock];
+    uint64_t wanted[kBlock / kChunk] = {}, any = 0;
+    for (int x = 0; x < width; ++x) next[x] = start[x], wanted[x / kChunk] |= active[x];
+    for (uint64_t group : wanted) any |= group;
+    for (; any; any &= any - 1) {
+      const int chunk = __builtin_ctzll(any);
+      for (int i = 0; i < kChunk; ++i) match_candidate(b, kChunk * chunk + i, tile[i]);
+      for (int x = 0; x < width; x += kChunk) {
+        if (!(wanted[x / kChunk] >> chunk & 1)) continue;
+        Sixteen turned[kChunk];
+        transpose_16x16(tile[0] + x, kBlock, turned);
+        for (int i = 0; i < std::min(kChunk, width - x); ++i)
+          if (active[x + i] >> chunk & 1)
+            std::memcpy(out + kChunk * static_cast<size_t>(next[x + i]++), turned + i, kChunk);
+      }
+    }
+  }
+
+  // Candidate i for one block, runs of one shift at a time.
+  void match_candidate(int b, int i, uint8_t* out) {
+    const int32_t *quarters = columns.of(b, i), *row = rows.data() + static_cast<size_t>(i) * array.cameras;
+    const int from = b * kBlock, to = from + width;
+    if (!columns.broken[static_cast<size_t>(b) * columns.count + i]) {
+      for (int k = 0; k < array.cameras; ++k) blocks[k] = block_of(k, row[k], from, quarters[k]);
+      costs(out);
+      return;
+    }
+    const RayShift* shifts = columns.shifts.data() + static_cast<size_t>(i) * array.cameras;
     for (int first = from; first < to;) {
       int last = to;
       for (int k = 0; k < array.cameras; ++k) {
-        int offset = aim[k].quarter;
-        if (!aim[k].same_everywhere) last = end_of_run(aim[k].shift, first, last, offset);
-        blocks[k] = block_of(k, aim[k].row, from, offset);
+        int offset = 0;
+        last = end_of_run(shifts[k], first, last, offset);
+        blocks[k] = block_of(k, row[k], from, offset);
       }
-      if (first == from && last == to) {
-        costs(own, seen, to - from, out);
-      } else {
-        uint8_t part[kBlock];
-        costs(own, seen, to - from, part);
-        std::memcpy(out + (first - from), part + (first - from), last - first);
-      }
+      uint8_t part[kBlock];
+      costs(part);
+      std::memcpy(out + (first - from), part + (first - from), last - first);
       first = last;
     }
   }
@@ -239,61 +365,84 @@ struct RowMatcher {
   Block block_of(int k, int row, int from, int quarter) const {
     const int start = from + (quarter >> 2) + kBlock, phase = quarter & 3;
     if (row < 0 || row >= array.height || start < 0 || start > features.stride - kBlock)
-      return {nullptr, 0, 0, false};
-    const int32_t* unclear = features.unclear_row(k, array.height, row, phase);
-    return {features.row(k, array.height, row), start, phase, unclear[start + kBlock] == unclear[start]};
+      return {nullptr, nullptr, false};
+    const uint8_t* at = features.row(k, array.height, row) + start;
+    const uint64_t* unclear = features.unclear_row(k, array.height, row, phase) + start / 64;
+    const int skip = start % 64;
+    const bool clear = !(unclear[0] >> skip | unclear[1] << 1 << (63 - skip));
+    const size_t stride = features.stride;
+    return {at + plane_census(phase) * stride, at + plane_valid(phase) * stride, clear};
   }
 
-  void costs(const uint8_t* own, int seen, int count, uint8_t* out) {
-    if (seen) mean_of_pairs(0, out);
-    uint8_t theirs[kBlock], any[kBlock] = {};
-    if (seen < count) mean_of_pairs(1, theirs);
+  void costs(uint8_t* out) {
+    bool sure = seen && mean_of_pairs(0, out);  // then the whole block is the view's own
+    if (seen < width) {
+      uint8_t theirs[kBlock];
+      sure = mean_of_pairs(1, seen ? theirs : out);
+      if (seen) put_theirs(own, theirs, out);
+    }
+    if (sure) return;
+    uint8_t any[kBlock] = {};
     for (int k = 0; k < array.cameras; ++k)
-      if (blocks[k].row) add_static(blocks[k].plane(plane_static(blocks[k].phase), features.stride), any);
-    finish_block(own, theirs, any, static_cast<uint8_t>(params.lone), static_cast<uint8_t>(params.unseen),
-                 out);
+      if (blocks[k].at) add_static(blocks[k].valid + kBytes * features.stride, any);
+    put_pairless(any, params.lone, params.unseen, out);
   }
 
-  void mean_of_pairs(int kind, uint8_t* out) {
+  // Returns whether some pair has a cost in every column.
+  bool mean_of_pairs(int kind, uint8_t* out) {
     int count = 0;
-    for (int p = 0; p < pair_counts[kind]; ++p) {
-      const Block &a = blocks[pairs[kind][2 * p]], &b = blocks[pairs[kind][2 * p + 1]];
-      if (!a.row || !b.row) continue;
+    bool sure = false;
+    const uint8_t* found[kMaxPairs];
+    for (int p = 0; p < pairs[kind].count; ++p) {
+      const Block &a = blocks[pairs[kind].cameras[2 * p]], &b = blocks[pairs[kind].cameras[2 * p + 1]];
+      if (!a.at || !b.at) continue;
       Matched& pair = matched[kind][p];
       if (!(pair.a == a &&
-            pair.b == b)) {  // near cameras move less than a quarter pixel from candidate to candidate
+            pair.b == b)) {  // near cameras move less than a quarter pixel from one to the next
         match_pair_here(a, b, features.stride, params, pair.costs);
         pair.a = a;
         pair.b = b;
       }
-      std::memcpy(rows[count++], pair.costs, kBlock);
+      sure |= a.clear && b.clear;
+      found[count++] = pair.costs;
     }
-    smaller_half(rows, count, out);
+    smaller_half(found, count, out);
+    return sure;
+  }
+
+  void smaller_half(const uint8_t** found, int count, uint8_t* out) {
+    if (count <= 1) {
+      std::memcpy(out, count ? found[0] : nothing, kBlock);
+    } else if (count <= 6) {
+      const bool few = count <= 4;
+      while (count < (few ? 4 : 6)) found[count++] = nothing;
+      few ? smaller_half_of_4(found, out) : smaller_half_of_6(found, out);
+    } else {
+      for (int p = 0; p < count; ++p) std::memcpy(sorted[p], found[p], kBlock);
+      smaller_half_of_many(sorted, count, out);
+    }
   }
 
   const Array& array;
   const FeatureRows& features;
   int view;
-  const Grid& grid;
-  const int32_t* pairs[2];
-  int pair_counts[2];
+  const Columns& columns;
+  const Chunks& chunks;
+  const Pairs pairs[2];
   const PairCostParams& params;
-  struct Aim {
-    RayShift shift;
-    int quarter;  // offset of column 0
-    bool same_everywhere;
-    int row;  // where the row that is being matched lands
-  };
-  std::vector<Aim> aims;      // [candidate][camera]
-  std::vector<uint8_t> tile;  // [candidate][kBlock]
+  std::vector<int32_t> rows;  // [candidate][camera]: where the row that is being matched lands
   const MatchPair match_pair_here = best_match_pair();
+  const uint8_t* own = nullptr;  // static flags of the block that is being matched, how many are set, columns
+  int seen = 0, width = 0;
   Block blocks[kMaxCameras];
   struct Matched {
     Block a{}, b{};
-    uint8_t costs[kBlock];
+    alignas(64) uint8_t costs[kBlock];
   };
   Matched matched[2][kMaxPairs];  // the last costs of every pair
-  uint8_t rows[kMaxPairs][kBlock];
+  alignas(64) uint8_t tile[kChunk][kBlock];
+  alignas(64) uint8_t sorted[kMaxPairs][kBlock];
+  alignas(64) uint8_t nothing[kBlock];
 };
 
 // The 8 x 8 bytes in `rows`, one row per word, transposed in place (Hacker's Delight, section 7-3).
@@ -327,15 +476,26 @@ void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uin
     }
 }
 
-void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid,
+SEEPAST_CLONES
+void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start) {
+  int32_t before = 0;
+  for (size_t p = 0; p < pixels; ++p) {
+    start[p] = before;
+    before += __builtin_popcountll(active[p]);
+  }
+  start[pixels] = before;
+}
+
+void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const Chunks& chunks,
             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
             const PairCostParams& params, uint8_t* out) {
+  const Columns columns(array, grid);
+  const Pairs own_pairs{with_own, with_own_count}, other_pairs{others, others_count};
 #pragma omp parallel
   {
-    RowMatcher matcher(array, features, view, grid, with_own, with_own_count, others, others_count, params);
+    RowMatcher matcher(array, features, view, columns, chunks, own_pairs, other_pairs, params);
 #pragma omp for schedule(dynamic, 4)
-    for (int y = 0; y < array.height; ++y)
-      matcher.match_row(y, out + static_cast<size_t>(y) * array.width * grid.count);
+    for (int y = 0; y < array.height; ++y) matcher.match_row(y, out);
   }
 }
 

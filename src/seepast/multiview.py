@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from . import backends
-from .candidates import EIGHTHS, DisparityGrid
+from .candidates import EIGHTHS, Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
 from .many import UNITS, PairCosts, Penalties, VoteWeights
@@ -59,9 +59,7 @@ def see_past(
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = [
-            backend.volume(features, view, fine if k == r else grid, PairCosts.of(o)) for k, view in enumerate(views)
-        ]
+        costs = [dense_volume(features, view, fine if k == r else grid, o, backend) for k, view in enumerate(views)]
         wanted_costs, costs[r] = costs[r], np.ascontiguousarray(costs[r][..., :: o.view_step])
         del features  # a fifth of the memory
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
@@ -103,6 +101,13 @@ def see_past(
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
+
+
+def dense_volume(features, view: ArrayGeometry, grid: DisparityGrid, o: MultiviewOptions, backend) -> np.ndarray:
+    """uint8 [H, W, count]: all pixels at the whole grid."""
+    width, height = view.size
+    everywhere = Candidates.all(grid, (height, width))
+    return backend.volume(features, view, everywhere, PairCosts.of(o)).reshape(height, width, grid.count)
 
 
 def three_channels(colour: np.ndarray) -> np.ndarray:
@@ -231,9 +236,7 @@ def surfaces(
     views = [small.seen_from(k) for k in range(len(colour))]
     found = np.stack(
         [
-            backend.aggregate(
-                backend.volume(features, view, grid, PairCosts.of(o)), colour[k], static[k], grid, penalties
-            )
+            backend.aggregate(dense_volume(features, view, grid, o, backend), colour[k], static[k], grid, penalties)
             for k, view in enumerate(views)
         ]
     )
