@@ -14,6 +14,12 @@ namespace seepast {
 namespace {
 
 constexpr int kMaxPairs = 64;
+constexpr int kScales = 32;  // entries of census_scale
+#if defined(__x86_64__)
+constexpr int kTable = 64;  // bytes that one instruction permutes, where bits are counted in one
+#else
+constexpr int kTable = 16;
+#endif
 
 // Where a block of one camera is read at one candidate.
 struct Block {
@@ -23,8 +29,26 @@ struct Block {
   bool operator==(const Block& other) const { return at == other.at; }
 };
 
+// table[index[x]] of kScales entries, by permutations of vectors (the loop would be a gather).
+template <class Vector>
+inline __attribute__((always_inline)) void look_up(const uint8_t* table, const uint8_t* index, uint8_t* out) {
+#if defined(__clang__)
+  for (int x = 0; x < kBlock; ++x) out[x] = table[index[x]];
+#else
+  Vector low, high{}, i;
+  std::memcpy(&low, table, sizeof(low) < kScales ? sizeof(low) : size_t{kScales});
+  if (sizeof(low) < kScales) std::memcpy(&high, table + sizeof(low), kScales - sizeof(low));
+  for (int x = 0; x < kBlock; x += static_cast<int>(sizeof(i))) {
+    std::memcpy(&i, index + x, sizeof(i));
+    const Vector found = sizeof(low) < kScales ? __builtin_shuffle(low, high, i) : __builtin_shuffle(low, i);
+    std::memcpy(out + x, &found, sizeof(found));
+  }
+#endif
+}
+
 // How to count the bits of bytes: most machines by sums of neighbouring bits ...
 struct SumBits {
+  using Table = Sixteen;
   static inline __attribute__((always_inline)) uint8_t nibbles(uint8_t v) {
     const uint8_t pairs = static_cast<uint8_t>(v - ((v >> 1) & 0x55));
     return static_cast<uint8_t>((pairs & 0x33) + ((pairs >> 2) & 0x33));
@@ -36,6 +60,7 @@ struct SumBits {
 };
 // ... and some in one instruction.
 struct CountBits {
+  using Table = uint8_t __attribute__((vector_size(kTable)));
   static inline __attribute__((always_inline)) uint8_t one(uint8_t v) {
     return static_cast<uint8_t>(__builtin_popcount(v));
   }
@@ -52,22 +77,6 @@ inline __attribute__((always_inline)) uint8_t mean(uint8_t p, uint8_t q) {  // r
   return static_cast<uint8_t>((p + q + 1) >> 1);
 }
 
-// table[index[x]] of 32 entries, by permutations of vectors (the loop would be a gather).
-inline __attribute__((always_inline)) void look_up(const uint8_t* table, const uint8_t* index, uint8_t* out) {
-#if defined(__clang__)
-  for (int x = 0; x < kBlock; ++x) out[x] = table[index[x]];
-#else
-  Sixteen low, high, i;
-  std::memcpy(&low, table, sizeof(low));
-  std::memcpy(&high, table + sizeof(low), sizeof(high));
-  for (int x = 0; x < kBlock; x += static_cast<int>(sizeof(i))) {
-    std::memcpy(&i, index + x, sizeof(i));
-    const Sixteen found = __builtin_shuffle(low, high, i);
-    std::memcpy(out + x, &found, sizeof(found));
-  }
-#endif
-}
-
 // Cost of one pair of rays for a block: reference_multiview.pair_cost.
 template <class Bits>
 inline __attribute__((always_inline)) void match_pair(const Block& a, const Block& b, size_t stride,
@@ -77,6 +86,7 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
   const uint8_t *b0 = b.at, *b1 = b0 + stride, *b2 = b1 + stride, *bb = b2 + stride, *bg = bb + stride,
                 *br = bg + stride;
   const uint8_t cap = params.colour_cap;
+  uint8_t cost[kBlock];  // of its own, so that the compiler need not fear that it overlaps the rest
   const auto colour = [&](int x) {
     const uint8_t step = mean(mean(apart(ab[x], bb[x]), apart(ar[x], br[x])), apart(ag[x], bg[x]));
     return step < cap ? step : cap;
@@ -84,8 +94,9 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
   if (a.clear && b.clear) {
     for (int x = 0; x < kBlock; ++x) {
       const uint8_t differing = Bits::of(a0[x] ^ b0[x], a1[x] ^ b1[x], a2[x] ^ b2[x]);
-      out[x] = static_cast<uint8_t>(4 * differing + colour(x));
+      cost[x] = static_cast<uint8_t>(4 * differing + colour(x));
     }
+    std::memcpy(out, cost, kBlock);
     return;
   }
   const uint8_t *v0 = a.valid, *v1 = v0 + stride, *v2 = v1 + stride, *sa = v2 + stride;
@@ -96,14 +107,15 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
     known[x] = Bits::of(k0, k1, k2);
     differing[x] = Bits::of((a0[x] ^ b0[x]) & k0, (a1[x] ^ b1[x]) & k1, (a2[x] ^ b2[x]) & k2);
   }
-  look_up(params.census_scale, known, scale);
+  look_up<typename Bits::Table>(params.census_scale, known, scale);
   const uint8_t few = params.few;
   for (int x = 0; x < kBlock; ++x) {
     const uint16_t product = static_cast<uint16_t>(differing[x] * scale[x] + 4);
     const uint8_t census = scale[x] ? static_cast<uint8_t>(product >> 3) : few;
-    const uint8_t cost = static_cast<uint8_t>(census + colour(x));
-    out[x] = sa[x] & sb[x] ? cost : kNoPair;
+    const uint8_t sum = static_cast<uint8_t>(census + colour(x));
+    cost[x] = sa[x] & sb[x] ? sum : kNoPair;
   }
+  std::memcpy(out, cost, kBlock);
 }
 
 SEEPAST_CLONES
@@ -119,19 +131,18 @@ void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const Pa
 using MatchPair = void (*)(const Block&, const Block&, size_t, const PairCostParams&, uint8_t*);
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-// Machines that count the bits of 64 bytes at once (target_clones cannot name what they are).
-__attribute__((target("arch=x86-64-v4,avx512bitalg"))) void match_pair_counting(const Block& a,
-                                                                                const Block& b, size_t stride,
-                                                                                const PairCostParams& params,
-                                                                                uint8_t* out) {
+// Machines that count the bits of 64 bytes at once, and permute them (target_clones cannot name what they
+// are).
+__attribute__((target("arch=x86-64-v4,avx512bitalg,avx512vbmi"))) void match_pair_counting(
+    const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
   match_pair<CountBits>(a, b, stride, params, out);
 }
 
 MatchPair best_match_pair() {
   __builtin_cpu_init();
-  const bool counts = __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512bw") &&
-                      __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512dq") &&
-                      __builtin_cpu_supports("avx512cd");
+  const bool counts = __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512vbmi") &&
+                      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+                      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512cd");
   return counts ? match_pair_counting : match_pair_anywhere;
 }
 #else
@@ -233,14 +244,29 @@ void rows_at(int y, float cy, const float* zoom, const float* shift, const float
     out[i] = y + whole_offset(ray_dy(RayShift{zoom[i], 0, shift[i], 0, view[i]}, y, cy));
 }
 
-// Where the columns of every camera are read at every candidate, in quarter pixels: the same for all rows.
+// Where a camera is read for a block of columns: which column of the padded row, the phase in its low bits.
+struct Place {
+  int32_t quarter;
+  int column() const { return quarter >> 2; }
+  int phase() const { return quarter & 3; }
+};
+constexpr Place kNowhere{-1};
+
+// Columns [from, to) of a block that are read with the same shifts.
+struct Run {
+  int from, to;
+};
+
+// Where the columns of every camera are read at every candidate: the same for all rows.
 struct Columns {
-  Columns(const Array& array, const Grid& grid)
+  Columns(const Array& array, const Grid& grid, int stride)
       : cameras(array.cameras),
         count(grid.count),
+        stride(stride),
         blocks((array.width + kBlock - 1) / kBlock),
-        quarters(static_cast<size_t>(blocks) * count * cameras),
-        broken(static_cast<size_t>(blocks) * count) {
+        runs(blocks),
+        places(blocks),
+        starts(blocks) {
     for (int i = 0; i < count; ++i)
       for (int k = 0; k < cameras; ++k) {
         const RayShift shift = array.shift(k, grid.value(i));
@@ -252,26 +278,41 @@ struct Columns {
   }
 
   void fill(const Array& array, int b) {
-    const int from = b * kBlock, last = std::min(from + kBlock, array.width) - 1;
-    for (int i = 0; i < count; ++i)
-      for (int k = 0; k < cameras; ++k) {
-        const size_t at = static_cast<size_t>(i) * cameras + k;
-        const int left = quarter_offset(ray_dx(shifts[at], from, array.cx));
-        const int right = quarter_offset(ray_dx(shifts[at], last, array.cx));
-        quarters[static_cast<size_t>(b) * count * cameras + at] = left;
-        if (left != right) broken[static_cast<size_t>(b) * count + i] = 1;
+    const int from = b * kBlock, to = std::min(from + kBlock, array.width);
+    for (int i = 0; i < count; ++i) {
+      starts[b].push_back(static_cast<int32_t>(runs[b].size()));
+      for (int first = from; first < to;) {
+        int last = to;
+        for (int k = 0; k < cameras; ++k)
+          places[b].push_back(
+              place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
+        runs[b].push_back({first - from, last - from});
+        first = last;
       }
+    }
+    starts[b].push_back(static_cast<int32_t>(runs[b].size()));
   }
 
-  const int32_t* of(int block, int i) const {
-    return quarters.data() + (static_cast<size_t>(block) * count + i) * cameras;
+  // Where the block that starts at `from` is read for column `first`; cuts `last` to the columns that have
+  // its shift.
+  Place place_of(const Array& array, const RayShift& shift, int from, int first, int& last) const {
+    int quarter = 0, end = last;
+    for_each_run(
+        first, last, [&](int x) { return quarter_offset(ray_dx(shift, x, array.cx)); },
+        [&](int run, int to, int found) {
+          if (run == first) end = to, quarter = found;
+        });
+    last = end;
+    const Place place{quarter + 4 * (from + kBlock)};
+    return place.quarter >= 0 && place.column() <= stride - kBlock ? place : kNowhere;
   }
 
-  int cameras, count, blocks;
+  int cameras, count, stride, blocks;
   std::vector<RayShift> shifts;  // [candidate][camera]
   std::vector<float> zoom, down, view;
-  std::vector<int32_t> quarters;  // [block][candidate][camera]
-  std::vector<uint8_t> broken;    // [block][candidate]: some camera's offset changes within the block
+  std::vector<std::vector<Run>> runs;        // [block][run]
+  std::vector<std::vector<Place>> places;    // [block][run * cameras + camera]
+  std::vector<std::vector<int32_t>> starts;  // [block][candidate]: its first run
 };
 
 struct Pairs {
@@ -329,46 +370,24 @@ struct RowMatcher {
 
   // Candidate i for one block, runs of one shift at a time.
   void match_candidate(int b, int i, uint8_t* out) {
-    const int32_t *quarters = columns.of(b, i), *row = rows.data() + static_cast<size_t>(i) * array.cameras;
-    const int from = b * kBlock, to = from + width;
-    if (!columns.broken[static_cast<size_t>(b) * columns.count + i]) {
-      for (int k = 0; k < array.cameras; ++k) blocks[k] = block_of(k, row[k], from, quarters[k]);
-      costs(out);
-      return;
-    }
-    const RayShift* shifts = columns.shifts.data() + static_cast<size_t>(i) * array.cameras;
-    for (int first = from; first < to;) {
-      int last = to;
-      for (int k = 0; k < array.cameras; ++k) {
-        int offset = 0;
-        last = end_of_run(shifts[k], first, last, offset);
-        blocks[k] = block_of(k, row[k], from, offset);
-      }
+    const int32_t* row = rows.data() + static_cast<size_t>(i) * array.cameras;
+    const int first = columns.starts[b][i], last = columns.starts[b][i + 1];
+    const Place* place = columns.places[b].data() + static_cast<size_t>(first) * array.cameras;
+    for (int r = first; r < last; ++r, place += array.cameras) {
+      for (int k = 0; k < array.cameras; ++k) blocks[k] = block_of(k, row[k], place[k]);
+      if (first + 1 == last) return costs(out);
       uint8_t part[kBlock];
       costs(part);
-      std::memcpy(out + (first - from), part + (first - from), last - first);
-      first = last;
+      const Run run = columns.runs[b][r];
+      std::memcpy(out + run.from, part + run.from, run.to - run.from);
     }
   }
 
-  // The end of the run of columns from `first` on that have its quarter-pixel offset, which is returned too.
-  int end_of_run(const RayShift& shift, int first, int last, int& offset) const {
-    int end = last;
-    for_each_run(
-        first, last, [&](int x) { return quarter_offset(ray_dx(shift, x, array.cx)); },
-        [&](int from, int to, int found) {
-          if (from == first) end = to, offset = found;
-        });
-    return end;
-  }
-
-  Block block_of(int k, int row, int from, int quarter) const {
-    const int start = from + (quarter >> 2) + kBlock, phase = quarter & 3;
-    if (row < 0 || row >= array.height || start < 0 || start > features.stride - kBlock)
-      return {nullptr, nullptr, false};
-    const uint8_t* at = features.row(k, array.height, row) + start;
-    const uint64_t* unclear = features.unclear_row(k, array.height, row, phase) + start / 64;
-    const int skip = start % 64;
+  Block block_of(int k, int row, Place place) const {
+    if (row < 0 || row >= array.height || place.quarter < 0) return {nullptr, nullptr, false};
+    const int column = place.column(), phase = place.phase(), skip = column % 64;
+    const uint8_t* at = features.row(k, array.height, row) + column;
+    const uint64_t* unclear = features.unclear_row(k, array.height, row, phase) + column / 64;
     const bool clear = !(unclear[0] >> skip | unclear[1] << 1 << (63 - skip));
     const size_t stride = features.stride;
     return {at + plane_census(phase) * stride, at + plane_valid(phase) * stride, clear};
@@ -489,7 +508,7 @@ void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start) {
 void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const Chunks& chunks,
             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
             const PairCostParams& params, uint8_t* out) {
-  const Columns columns(array, grid);
+  const Columns columns(array, grid, features.stride);
   const Pairs own_pairs{with_own, with_own_count}, other_pairs{others, others_count};
 #pragma omp parallel
   {
