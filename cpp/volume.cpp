@@ -10,6 +10,13 @@
 
 #include "multiview.h"
 
+// What a loop over a block writes never overlaps what it reads of others; unsaid, compilers test or give up.
+#if defined(__GNUC__) && !defined(__clang__)
+#define SEEPAST_APART _Pragma("GCC ivdep")
+#else
+#define SEEPAST_APART
+#endif
+
 namespace seepast {
 namespace {
 
@@ -25,6 +32,7 @@ constexpr int kTable = 16;
 struct Block {
   const uint8_t* at;     // its census planes and colours; null: no ray of this block exists
   const uint8_t* valid;  // its valid planes and static flags
+  size_t stride;         // from plane to plane
   bool clear;            // every neighbour of every sample is static
   bool operator==(const Block& other) const { return at == other.at; }
 };
@@ -79,12 +87,12 @@ inline __attribute__((always_inline)) uint8_t mean(uint8_t p, uint8_t q) {  // r
 
 // Cost of one pair of rays for a block: reference_multiview.pair_cost.
 template <class Bits>
-inline __attribute__((always_inline)) void match_pair(const Block& a, const Block& b, size_t stride,
+inline __attribute__((always_inline)) void match_pair(const Block& a, const Block& b,
                                                       const PairCostParams& params, uint8_t* __restrict out) {
-  const uint8_t *a0 = a.at, *a1 = a0 + stride, *a2 = a1 + stride, *ab = a2 + stride, *ag = ab + stride,
-                *ar = ag + stride;
-  const uint8_t *b0 = b.at, *b1 = b0 + stride, *b2 = b1 + stride, *bb = b2 + stride, *bg = bb + stride,
-                *br = bg + stride;
+  const uint8_t *a0 = a.at, *a1 = a0 + a.stride, *a2 = a1 + a.stride, *ab = a2 + a.stride,
+                *ag = ab + a.stride, *ar = ag + a.stride;
+  const uint8_t *b0 = b.at, *b1 = b0 + b.stride, *b2 = b1 + b.stride, *bb = b2 + b.stride,
+                *bg = bb + b.stride, *br = bg + b.stride;
   const uint8_t cap = params.colour_cap;
   uint8_t cost[kBlock];  // of its own, so that the compiler need not fear that it overlaps the rest
   const auto colour = [&](int x) {
@@ -92,6 +100,7 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
     return step < cap ? step : cap;
   };
   if (a.clear && b.clear) {
+    SEEPAST_APART
     for (int x = 0; x < kBlock; ++x) {
       const uint8_t differing = Bits::of(a0[x] ^ b0[x], a1[x] ^ b1[x], a2[x] ^ b2[x]);
       cost[x] = static_cast<uint8_t>(4 * differing + colour(x));
@@ -99,9 +108,10 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
     std::memcpy(out, cost, kBlock);
     return;
   }
-  const uint8_t *v0 = a.valid, *v1 = v0 + stride, *v2 = v1 + stride, *sa = v2 + stride;
-  const uint8_t *w0 = b.valid, *w1 = w0 + stride, *w2 = w1 + stride, *sb = w2 + stride;
+  const uint8_t *v0 = a.valid, *v1 = v0 + a.stride, *v2 = v1 + a.stride, *sa = v2 + a.stride;
+  const uint8_t *w0 = b.valid, *w1 = w0 + b.stride, *w2 = w1 + b.stride, *sb = w2 + b.stride;
   uint8_t differing[kBlock], known[kBlock], scale[kBlock];
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     const uint8_t k0 = v0[x] & w0[x], k1 = v1[x] & w1[x], k2 = v2[x] & w2[x];
     known[x] = Bits::of(k0, k1, k2);
@@ -109,6 +119,7 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
   }
   look_up<typename Bits::Table>(params.census_scale, known, scale);
   const uint8_t few = params.few;
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     const uint16_t product = static_cast<uint16_t>(differing[x] * scale[x] + 4);
     const uint8_t census = scale[x] ? static_cast<uint8_t>(product >> 3) : few;
@@ -118,57 +129,29 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
   std::memcpy(out, cost, kBlock);
 }
 
-SEEPAST_CLONES
-void match_pair_anywhere(const Block& a, const Block& b, size_t stride, const PairCostParams& params,
-                         uint8_t* out) {
-#if defined(__aarch64__)
-  match_pair<CountBits>(a, b, stride, params, out);
-#else
-  match_pair<SumBits>(a, b, stride, params, out);
-#endif
-}
-
-using MatchPair = void (*)(const Block&, const Block&, size_t, const PairCostParams&, uint8_t*);
-
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-// Machines that count the bits of 64 bytes at once, and permute them (target_clones cannot name what they
-// are).
-__attribute__((target("arch=x86-64-v4,avx512bitalg,avx512vbmi"))) void match_pair_counting(
-    const Block& a, const Block& b, size_t stride, const PairCostParams& params, uint8_t* out) {
-  match_pair<CountBits>(a, b, stride, params, out);
-}
-
-MatchPair best_match_pair() {
-  __builtin_cpu_init();
-  const bool counts = __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512vbmi") &&
-                      __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
-                      __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512cd");
-  return counts ? match_pair_counting : match_pair_anywhere;
-}
-#else
-MatchPair best_match_pair() { return match_pair_anywhere; }
-#endif
-
 inline __attribute__((always_inline)) void order(uint8_t& a, uint8_t& b) {
   const uint8_t low = a < b ? a : b, high = a < b ? b : a;
   a = low, b = high;
 }
 
 // Mean of the smaller half of up to four costs, kNoPair where none exists: two costs or one.
-SEEPAST_CLONES
-void smaller_half_of_4(const uint8_t* const* rows, uint8_t* __restrict out) {
+inline void smaller_half_of_4(const uint8_t* const* rows, uint8_t* __restrict out) {
   const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3];
+  uint8_t half[kBlock];
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x];
     order(a, b), order(c, d), order(a, c), order(b, d), order(b, c);
-    out[x] = c != kNoPair ? mean(a, b) : a;
+    half[x] = c != kNoPair ? mean(a, b) : a;
   }
+  std::memcpy(out, half, kBlock);
 }
 
 // The same of up to six: three costs, two or one.
-SEEPAST_CLONES
-void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict out) {
+inline void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict out) {
   const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3], *r4 = rows[4], *r5 = rows[5];
+  uint8_t half[kBlock];
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x], e = r4[x], f = r5[x];
     order(a, f), order(b, d), order(c, e);  // the shortest network that sorts six
@@ -179,23 +162,27 @@ void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict out) {
     const uint16_t sum = static_cast<uint16_t>(a + b + c + 1);
     const uint8_t third = static_cast<uint8_t>(static_cast<uint32_t>(sum) * 21846 >> 16);
     const uint8_t two = c != kNoPair ? mean(a, b) : a;
-    out[x] = e != kNoPair ? third : two;
+    half[x] = e != kNoPair ? third : two;
   }
+  std::memcpy(out, half, kBlock);
 }
 
 // The same of any number. Reorders the rows.
-SEEPAST_CLONES
-void smaller_half_of_many(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
+inline void smaller_half_of_many(uint8_t (*rows)[kBlock], int count, uint8_t* __restrict out) {
   uint8_t half[kBlock];
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) half[x] = 0;
-  for (int p = 0; p < count; ++p)
-    for (int x = 0; x < kBlock; ++x) half[x] = static_cast<uint8_t>(half[x] + (rows[p][x] != kNoPair));
+  for (int p = 0; p < count; ++p) SEEPAST_APART
+  for (int x = 0; x < kBlock; ++x) half[x] = static_cast<uint8_t>(half[x] + (rows[p][x] != kNoPair));
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) half[x] = static_cast<uint8_t>((half[x] + 1) >> 1);
   uint16_t sum[kBlock], reciprocal[kBlock];
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) sum[x] = half[x] >> 1, reciprocal[x] = 0;
   for (int q = 0; q < (count + 1) / 2; ++q) {
     for (int p = count - 1; p > q; --p) {  // the smallest of the rest rises to q
       uint8_t *a = rows[p - 1], *b = rows[p];
+      SEEPAST_APART
       for (int x = 0; x < kBlock; ++x) {
         const uint8_t p = a[x], q2 = b[x];
         a[x] = p < q2 ? p : q2;
@@ -203,12 +190,14 @@ void smaller_half_of_many(uint8_t (*rows)[kBlock], int count, uint8_t* __restric
       }
     }
     const uint16_t share = static_cast<uint16_t>(65535 / (q + 1) + 1);  // ceil(65536 / half); 0 stands for 1
+    SEEPAST_APART
     for (int x = 0; x < kBlock; ++x) {
       const bool counts = half[x] > q;
       sum[x] = static_cast<uint16_t>(sum[x] + (counts ? rows[q][x] : 0));
       reciprocal[x] = counts ? share : reciprocal[x];
     }
   }
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     const uint16_t mean = static_cast<uint16_t>(static_cast<uint32_t>(sum[x]) * reciprocal[x] >> 16);
     const uint16_t cost = half[x] == 1 ? sum[x] : mean;
@@ -217,29 +206,30 @@ void smaller_half_of_many(uint8_t (*rows)[kBlock], int count, uint8_t* __restric
 }
 
 // Puts what the view does not see itself into a block of costs.
-SEEPAST_CLONES
-void put_theirs(const uint8_t* __restrict own, const uint8_t* __restrict theirs, uint8_t* __restrict out) {
+inline void put_theirs(const uint8_t* __restrict own, const uint8_t* __restrict theirs,
+                       uint8_t* __restrict out) {
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) out[x] = own[x] ? out[x] : theirs[x];
 }
 
 // Puts what no pair sees.
-SEEPAST_CLONES
-void put_pairless(const uint8_t* __restrict any, uint8_t lone, uint8_t unseen, uint8_t* __restrict out) {
+inline void put_pairless(const uint8_t* __restrict any, uint8_t lone, uint8_t unseen,
+                         uint8_t* __restrict out) {
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     const uint8_t without = any[x] ? lone : unseen;
     out[x] = out[x] != kNoPair ? out[x] : without;
   }
 }
 
-SEEPAST_CLONES
-void add_static(const uint8_t* __restrict is_static, uint8_t* __restrict any) {
+inline void add_static(const uint8_t* __restrict is_static, uint8_t* __restrict any) {
+  SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) any[x] |= is_static[x];
 }
 
 // Whole rows that a ray of every camera lands on at every candidate, for row y.
-SEEPAST_CLONES
-void rows_at(int y, float cy, const float* zoom, const float* shift, const float* view, int count,
-             int32_t* __restrict out) {
+inline void rows_at(int y, float cy, const float* zoom, const float* shift, const float* view, int count,
+                    int32_t* __restrict out) {
   for (int i = 0; i < count; ++i)
     out[i] = y + whole_offset(ray_dy(RayShift{zoom[i], 0, shift[i], 0, view[i]}, y, cy));
 }
@@ -252,9 +242,9 @@ struct Place {
 };
 constexpr Place kNowhere{-1};
 
-// Columns [from, to) of a block that are read with the same shifts.
+// Columns [from, to) of a block that are read with the same shifts at a candidate.
 struct Run {
-  int from, to;
+  int from, to, candidate;
 };
 
 // Where the columns of every camera are read at every candidate: the same for all rows.
@@ -286,7 +276,7 @@ struct Columns {
         for (int k = 0; k < cameras; ++k)
           places[b].push_back(
               place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
-        runs[b].push_back({first - from, last - from});
+        runs[b].push_back({first - from, last - from, i});
         first = last;
       }
     }
@@ -321,6 +311,7 @@ struct Pairs {
 };
 
 // One row of the volume.
+template <class Bits>
 struct RowMatcher {
   RowMatcher(const Array& array, const FeatureRows& features, int view, const Columns& columns,
              const Chunks& chunks, const Pairs& with_own, const Pairs& others, const PairCostParams& params)
@@ -339,13 +330,24 @@ struct RowMatcher {
     rows_at(y, array.cy, columns.zoom.data(), columns.down.data(), columns.view.data(),
             static_cast<int>(rows.size()), rows.data());
     for (int b = 0; b < columns.blocks; ++b) {
-      const int from = b * kBlock, count = std::min(kBlock, array.width - from);
-      own = features.row(view, array.height, y) + plane_static(0) * features.stride + kBlock + from;
-      seen = std::accumulate(own, own + count, 0);
-      width = count;
+      const int from = b * kBlock;
+      width = std::min(kBlock, array.width - from);
+      look_at_own(y, from);
       const size_t first = static_cast<size_t>(y) * array.width + from;
       match_block(b, chunks.active + first, chunks.start + first, out);
     }
+  }
+
+  // Copies the view's own block, which all candidates share.
+  void look_at_own(int y, int from) {
+    const Block block = block_of(view, y, {4 * (from + kBlock)});
+    for (int i = 0; i < 2 * kBytes; ++i) std::memcpy(own_planes[i], block.at + i * block.stride, kBlock);
+    for (int i = 0; i <= kBytes; ++i)
+      std::memcpy(own_planes[2 * kBytes + i], block.valid + i * block.stride, kBlock);
+    own = {own_planes[0], own_planes[2 * kBytes], kBlock, block.clear};
+    own_static = own_planes[3 * kBytes];
+    seen = 0;
+    for (int x = 0; x < width; ++x) seen += own_static[x];
   }
 
   // The chunks that some pixel of a block wants, from the farthest on.
@@ -356,7 +358,7 @@ struct RowMatcher {
     for (uint64_t group : wanted) any |= group;
     for (; any; any &= any - 1) {
       const int chunk = __builtin_ctzll(any);
-      for (int i = 0; i < kChunk; ++i) match_candidate(b, kChunk * chunk + i, tile[i]);
+      match_chunk(b, chunk);
       for (int x = 0; x < width; x += kChunk) {
         if (!(wanted[x / kChunk] >> chunk & 1)) continue;
         Sixteen turned[kChunk];
@@ -368,76 +370,93 @@ struct RowMatcher {
     }
   }
 
-  // Candidate i for one block, runs of one shift at a time.
-  void match_candidate(int b, int i, uint8_t* out) {
-    const int32_t* row = rows.data() + static_cast<size_t>(i) * array.cameras;
-    const int first = columns.starts[b][i], last = columns.starts[b][i + 1];
-    const Place* place = columns.places[b].data() + static_cast<size_t>(first) * array.cameras;
-    for (int r = first; r < last; ++r, place += array.cameras) {
-      for (int k = 0; k < array.cameras; ++k) blocks[k] = block_of(k, row[k], place[k]);
-      if (first + 1 == last) return costs(out);
-      uint8_t part[kBlock];
-      costs(part);
-      const Run run = columns.runs[b][r];
-      std::memcpy(out + run.from, part + run.from, run.to - run.from);
+  // The candidates of a chunk for one block into `tile`, up to kItems runs at a time.
+  void match_chunk(int b, int chunk) {
+    const int32_t* starts = columns.starts[b].data() + kChunk * chunk;
+    for (int r = starts[0]; r < starts[kChunk]; r += items) {
+      items = std::min(kItems, starts[kChunk] - r);
+      const Run* run = columns.runs[b].data() + r;
+      const Place* place = columns.places[b].data() + static_cast<size_t>(r) * array.cameras;
+      for (int i = 0; i < items; ++i, place += array.cameras) {
+        const int32_t* row = rows.data() + static_cast<size_t>(run[i].candidate) * array.cameras;
+        for (int k = 0; k < array.cameras; ++k)
+          blocks[k][i] = k == view ? own : block_of(k, row[k], place[k]);
+      }
+      match_items();
+      for (int i = 0; i < items; ++i) {
+        uint8_t* to = tile[run[i].candidate % kChunk];
+        if (run[i].to - run[i].from == width)
+          std::memcpy(to, costs[i], kBlock);
+        else
+          std::memcpy(to + run[i].from, costs[i] + run[i].from, run[i].to - run[i].from);
+      }
     }
   }
 
   Block block_of(int k, int row, Place place) const {
-    if (row < 0 || row >= array.height || place.quarter < 0) return {nullptr, nullptr, false};
+    const size_t stride = features.stride;
+    if (row < 0 || row >= array.height || place.quarter < 0) return {nullptr, nullptr, stride, false};
     const int column = place.column(), phase = place.phase(), skip = column % 64;
     const uint8_t* at = features.row(k, array.height, row) + column;
     const uint64_t* unclear = features.unclear_row(k, array.height, row, phase) + column / 64;
     const bool clear = !(unclear[0] >> skip | unclear[1] << 1 << (63 - skip));
-    const size_t stride = features.stride;
-    return {at + plane_census(phase) * stride, at + plane_valid(phase) * stride, clear};
+    return {at + plane_census(phase) * stride, at + plane_valid(phase) * stride, stride, clear};
   }
 
-  void costs(uint8_t* out) {
-    bool sure = seen && mean_of_pairs(0, out);  // then the whole block is the view's own
+  // All items: `blocks` to `costs`.
+  void match_items() {
+    uint32_t sure = 0;                         // bit per item in which some pair has a cost in every column
+    if (seen) sure = mean_of_pairs(0, costs);  // then the whole block is the view's own
     if (seen < width) {
-      uint8_t theirs[kBlock];
-      sure = mean_of_pairs(1, seen ? theirs : out);
-      if (seen) put_theirs(own, theirs, out);
+      sure = mean_of_pairs(1, seen ? theirs : costs);
+      for (int i = 0; seen && i < items; ++i) put_theirs(own_static, theirs[i], costs[i]);
     }
-    if (sure) return;
-    uint8_t any[kBlock] = {};
-    for (int k = 0; k < array.cameras; ++k)
-      if (blocks[k].at) add_static(blocks[k].valid + kBytes * features.stride, any);
-    put_pairless(any, params.lone, params.unseen, out);
+    for (int i = 0; i < items; ++i) {
+      if (sure >> i & 1) continue;
+      uint8_t any[kBlock] = {};
+      for (int k = 0; k < array.cameras; ++k)
+        if (blocks[k][i].at) add_static(blocks[k][i].valid + kBytes * blocks[k][i].stride, any);
+      put_pairless(any, params.lone, params.unseen, costs[i]);
+    }
   }
 
-  // Returns whether some pair has a cost in every column.
-  bool mean_of_pairs(int kind, uint8_t* out) {
-    int count = 0;
-    bool sure = false;
-    const uint8_t* found[kMaxPairs];
-    for (int p = 0; p < pairs[kind].count; ++p) {
-      const Block &a = blocks[pairs[kind].cameras[2 * p]], &b = blocks[pairs[kind].cameras[2 * p + 1]];
-      if (!a.at || !b.at) continue;
-      Matched& pair = matched[kind][p];
-      if (!(pair.a == a &&
-            pair.b == b)) {  // near cameras move less than a quarter pixel from one to the next
-        match_pair_here(a, b, features.stride, params, pair.costs);
-        pair.a = a;
-        pair.b = b;
-      }
-      sure |= a.clear && b.clear;
-      found[count++] = pair.costs;
-    }
-    smaller_half(found, count, out);
+  uint32_t mean_of_pairs(int kind, uint8_t (*out)[kBlock]) {
+    uint32_t sure = 0;
+    const int count = pairs[kind].count;
+    for (int p = 0; p < count; ++p)
+      sure |=
+          match_pairs(blocks[pairs[kind].cameras[2 * p]], blocks[pairs[kind].cameras[2 * p + 1]], found[p]);
+    for (int i = 0; i < items; ++i) smaller_half(count, i, out[i]);
     return sure;
   }
 
-  void smaller_half(const uint8_t** found, int count, uint8_t* out) {
+  // One pair of cameras at all items; returns the items that have a cost in every column.
+  uint32_t match_pairs(const Block* a, const Block* b, uint8_t (*out)[kBlock]) {
+    uint32_t sure = 0;
+    for (int i = 0; i < items; ++i) {
+      if (!a[i].at || !b[i].at)
+        std::memset(out[i], kNoPair, kBlock);
+      else if (i && a[i] == a[i - 1] && b[i] == b[i - 1])  // near cameras move less than a quarter pixel
+        std::memcpy(out[i], out[i - 1], kBlock);
+      else
+        match_pair<Bits>(a[i], b[i], params, out[i]);
+      sure |= static_cast<uint32_t>(a[i].clear && b[i].clear) << i;
+    }
+    return sure;
+  }
+
+  void smaller_half(int count, int item, uint8_t* out) {
+    const uint8_t* rows_of[6];
+    for (int p = 0; p < std::min(count, 6); ++p) rows_of[p] = found[p][item];
+    for (int p = count; p < 6; ++p) rows_of[p] = nothing;
     if (count <= 1) {
-      std::memcpy(out, count ? found[0] : nothing, kBlock);
+      std::memcpy(out, rows_of[0], kBlock);
+    } else if (count <= 4) {
+      smaller_half_of_4(rows_of, out);
     } else if (count <= 6) {
-      const bool few = count <= 4;
-      while (count < (few ? 4 : 6)) found[count++] = nothing;
-      few ? smaller_half_of_4(found, out) : smaller_half_of_6(found, out);
+      smaller_half_of_6(rows_of, out);
     } else {
-      for (int p = 0; p < count; ++p) std::memcpy(sorted[p], found[p], kBlock);
+      for (int p = 0; p < count; ++p) std::memcpy(sorted[p], found[p][item], kBlock);
       smaller_half_of_many(sorted, count, out);
     }
   }
@@ -450,19 +469,55 @@ struct RowMatcher {
   const Pairs pairs[2];
   const PairCostParams& params;
   std::vector<int32_t> rows;  // [candidate][camera]: where the row that is being matched lands
-  const MatchPair match_pair_here = best_match_pair();
-  const uint8_t* own = nullptr;  // static flags of the block that is being matched, how many are set, columns
-  int seen = 0, width = 0;
-  Block blocks[kMaxCameras];
-  struct Matched {
-    Block a{}, b{};
-    alignas(64) uint8_t costs[kBlock];
-  };
-  Matched matched[2][kMaxPairs];  // the last costs of every pair
-  alignas(64) uint8_t tile[kChunk][kBlock];
+  Block own;  // of the view: its planes, which are copied, and its static flags; how many of those are set
+  const uint8_t* own_static;
+  int seen, width, items;
+  static constexpr int kItems = kChunk;
+  Block blocks[kMaxCameras][kItems];
+  alignas(64) uint8_t own_planes[3 * kBytes + 1][kBlock];
+  alignas(64) uint8_t found[kMaxPairs][kItems][kBlock];  // costs of every pair
+  alignas(64) uint8_t costs[kItems][kBlock], theirs[kItems][kBlock], tile[kChunk][kBlock];
   alignas(64) uint8_t sorted[kMaxPairs][kBlock];
   alignas(64) uint8_t nothing[kBlock];
 };
+
+// Everything that a row calls becomes part of it, and is compiled for what the row is.
+#if defined(__aarch64__)
+using Bits = CountBits;
+#else
+using Bits = SumBits;
+#endif
+SEEPAST_CLONES
+__attribute__((flatten)) void match_row_anywhere(RowMatcher<Bits>& matcher, int y, uint8_t* out) {
+  matcher.match_row(y, out);
+}
+
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+// Machines that count the bits of 64 bytes at once, and permute them (target_clones cannot name what they
+// are).
+#define SEEPAST_COUNTING
+__attribute__((flatten, target("arch=x86-64-v4,avx512bitalg,avx512vbmi"))) void match_row_counting(
+    RowMatcher<CountBits>& matcher, int y, uint8_t* out) {
+  matcher.match_row(y, out);
+}
+
+bool counting_machine() {
+  __builtin_cpu_init();
+  return __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512vbmi") &&
+         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512cd");
+}
+#endif
+
+template <class Matcher, class MatchRow>
+void match_rows(Matcher matcher_of, int height, MatchRow match_row, uint8_t* out) {
+#pragma omp parallel
+  {
+    auto matcher = matcher_of();
+#pragma omp for schedule(dynamic, 4)
+    for (int y = 0; y < height; ++y) match_row(matcher, y, out);
+  }
+}
 
 // The 8 x 8 bytes in `rows`, one row per word, transposed in place (Hacker's Delight, section 7-3).
 inline __attribute__((always_inline)) void transpose_8x8(uint64_t* rows) {
@@ -510,12 +565,17 @@ void volume(const Array& array, const FeatureRows& features, int view, const Gri
             const PairCostParams& params, uint8_t* out) {
   const Columns columns(array, grid, features.stride);
   const Pairs own_pairs{with_own, with_own_count}, other_pairs{others, others_count};
-#pragma omp parallel
-  {
-    RowMatcher matcher(array, features, view, columns, chunks, own_pairs, other_pairs, params);
-#pragma omp for schedule(dynamic, 4)
-    for (int y = 0; y < array.height; ++y) matcher.match_row(y, out);
-  }
+  const auto match = [&](auto bits, auto match_row) {
+    const auto matcher = [&] {
+      return RowMatcher<decltype(bits)>(array, features, view, columns, chunks, own_pairs, other_pairs,
+                                        params);
+    };
+    match_rows(matcher, array.height, match_row, out);
+  };
+#if defined(SEEPAST_COUNTING)
+  if (counting_machine()) return match(CountBits(), match_row_counting);
+#endif
+  match(Bits(), match_row_anywhere);
 }
 
 }  // namespace seepast
