@@ -94,7 +94,6 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
   const uint8_t *b0 = b.at, *b1 = b0 + b.stride, *b2 = b1 + b.stride, *bb = b2 + b.stride,
                 *bg = bb + b.stride, *br = bg + b.stride;
   const uint8_t cap = params.colour_cap;
-  uint8_t cost[kBlock];  // of its own, so that the compiler need not fear that it overlaps the rest
   const auto colour = [&](int x) {
     const uint8_t step = mean(mean(apart(ab[x], bb[x]), apart(ar[x], br[x])), apart(ag[x], bg[x]));
     return step < cap ? step : cap;
@@ -103,9 +102,8 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
     SEEPAST_APART
     for (int x = 0; x < kBlock; ++x) {
       const uint8_t differing = Bits::of(a0[x] ^ b0[x], a1[x] ^ b1[x], a2[x] ^ b2[x]);
-      cost[x] = static_cast<uint8_t>(4 * differing + colour(x));
+      out[x] = static_cast<uint8_t>(4 * differing + colour(x));
     }
-    std::memcpy(out, cost, kBlock);
     return;
   }
   const uint8_t *v0 = a.valid, *v1 = v0 + a.stride, *v2 = v1 + a.stride, *sa = v2 + a.stride;
@@ -124,9 +122,8 @@ inline __attribute__((always_inline)) void match_pair(const Block& a, const Bloc
     const uint16_t product = static_cast<uint16_t>(differing[x] * scale[x] + 4);
     const uint8_t census = scale[x] ? static_cast<uint8_t>(product >> 3) : few;
     const uint8_t sum = static_cast<uint8_t>(census + colour(x));
-    cost[x] = sa[x] & sb[x] ? sum : kNoPair;
+    out[x] = sa[x] & sb[x] ? sum : kNoPair;
   }
-  std::memcpy(out, cost, kBlock);
 }
 
 inline __attribute__((always_inline)) void order(uint8_t& a, uint8_t& b) {
@@ -137,20 +134,17 @@ inline __attribute__((always_inline)) void order(uint8_t& a, uint8_t& b) {
 // Mean of the smaller half of up to four costs, kNoPair where none exists: two costs or one.
 inline void smaller_half_of_4(const uint8_t* const* rows, uint8_t* __restrict out) {
   const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3];
-  uint8_t half[kBlock];
   SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x];
     order(a, b), order(c, d), order(a, c), order(b, d), order(b, c);
-    half[x] = c != kNoPair ? mean(a, b) : a;
+    out[x] = c != kNoPair ? mean(a, b) : a;
   }
-  std::memcpy(out, half, kBlock);
 }
 
 // The same of up to six: three costs, two or one.
 inline void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict out) {
   const uint8_t *r0 = rows[0], *r1 = rows[1], *r2 = rows[2], *r3 = rows[3], *r4 = rows[4], *r5 = rows[5];
-  uint8_t half[kBlock];
   SEEPAST_APART
   for (int x = 0; x < kBlock; ++x) {
     uint8_t a = r0[x], b = r1[x], c = r2[x], d = r3[x], e = r4[x], f = r5[x];
@@ -162,9 +156,8 @@ inline void smaller_half_of_6(const uint8_t* const* rows, uint8_t* __restrict ou
     const uint16_t sum = static_cast<uint16_t>(a + b + c + 1);
     const uint8_t third = static_cast<uint8_t>(static_cast<uint32_t>(sum) * 21846 >> 16);
     const uint8_t two = c != kNoPair ? mean(a, b) : a;
-    half[x] = e != kNoPair ? third : two;
+    out[x] = e != kNoPair ? third : two;
   }
-  std::memcpy(out, half, kBlock);
 }
 
 // The same of any number. Reorders the rows.
@@ -310,6 +303,12 @@ struct Pairs {
   int count;
 };
 
+// A row of a camera; null outside the image.
+struct Row {
+  const uint8_t* planes;
+  const uint64_t* unclear;
+};
+
 // One row of the volume.
 template <class Bits>
 struct RowMatcher {
@@ -322,13 +321,13 @@ struct RowMatcher {
         chunks(chunks),
         pairs{with_own, others},
         params(params),
+        landed(columns.zoom.size()),
         rows(columns.zoom.size()) {
     std::memset(nothing, kNoPair, sizeof(nothing));
   }
 
   void match_row(int y, uint8_t* out) {
-    rows_at(y, array.cy, columns.zoom.data(), columns.down.data(), columns.view.data(),
-            static_cast<int>(rows.size()), rows.data());
+    find_rows(y);
     for (int b = 0; b < columns.blocks; ++b) {
       const int from = b * kBlock;
       width = std::min(kBlock, array.width - from);
@@ -338,9 +337,21 @@ struct RowMatcher {
     }
   }
 
+  void find_rows(int y) {
+    rows_at(y, array.cy, columns.zoom.data(), columns.down.data(), columns.view.data(),
+            static_cast<int>(landed.size()), landed.data());
+    for (size_t i = 0; i < landed.size(); ++i)
+      rows[i] = row_of(static_cast<int>(i % array.cameras), landed[i]);
+  }
+
+  Row row_of(int k, int y) const {
+    if (y < 0 || y >= array.height) return {nullptr, nullptr};
+    return {features.row(k, array.height, y), features.unclear_row(k, array.height, y, 0)};
+  }
+
   // Copies the view's own block, which all candidates share.
   void look_at_own(int y, int from) {
-    const Block block = block_of(view, y, {4 * (from + kBlock)});
+    const Block block = block_of(row_of(view, y), {4 * (from + kBlock)});
     for (int i = 0; i < 2 * kBytes; ++i) std::memcpy(own_planes[i], block.at + i * block.stride, kBlock);
     for (int i = 0; i <= kBytes; ++i)
       std::memcpy(own_planes[2 * kBytes + i], block.valid + i * block.stride, kBlock);
@@ -378,9 +389,8 @@ struct RowMatcher {
       const Run* run = columns.runs[b].data() + r;
       const Place* place = columns.places[b].data() + static_cast<size_t>(r) * array.cameras;
       for (int i = 0; i < items; ++i, place += array.cameras) {
-        const int32_t* row = rows.data() + static_cast<size_t>(run[i].candidate) * array.cameras;
-        for (int k = 0; k < array.cameras; ++k)
-          blocks[k][i] = k == view ? own : block_of(k, row[k], place[k]);
+        const Row* row = rows.data() + static_cast<size_t>(run[i].candidate) * array.cameras;
+        for (int k = 0; k < array.cameras; ++k) blocks[k][i] = k == view ? own : block_of(row[k], place[k]);
       }
       match_items();
       for (int i = 0; i < items; ++i) {
@@ -393,12 +403,12 @@ struct RowMatcher {
     }
   }
 
-  Block block_of(int k, int row, Place place) const {
+  Block block_of(const Row& row, Place place) const {
     const size_t stride = features.stride;
-    if (row < 0 || row >= array.height || place.quarter < 0) return {nullptr, nullptr, stride, false};
+    if (!row.planes || place.quarter < 0) return {nullptr, nullptr, stride, false};
     const int column = place.column(), phase = place.phase(), skip = column % 64;
-    const uint8_t* at = features.row(k, array.height, row) + column;
-    const uint64_t* unclear = features.unclear_row(k, array.height, row, phase) + column / 64;
+    const uint8_t* at = row.planes + column;
+    const uint64_t* unclear = row.unclear + (phase ? stride / 64 + 1 : 0) + column / 64;
     const bool clear = !(unclear[0] >> skip | unclear[1] << 1 << (63 - skip));
     return {at + plane_census(phase) * stride, at + plane_valid(phase) * stride, stride, clear};
   }
@@ -468,7 +478,8 @@ struct RowMatcher {
   const Chunks& chunks;
   const Pairs pairs[2];
   const PairCostParams& params;
-  std::vector<int32_t> rows;  // [candidate][camera]: where the row that is being matched lands
+  std::vector<int32_t> landed;  // [candidate][camera]: where the row that is being matched lands
+  std::vector<Row> rows;
   Block own;  // of the view: its planes, which are copied, and its static flags; how many of those are set
   const uint8_t* own_static;
   int seen, width, items;
