@@ -53,7 +53,8 @@ struct PairCostParams {
   const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few
   uint8_t few, colour_cap, lone, unseen;
 };
-// pairs int32 [n, 2] of cameras: with the view's own ray, and without. out uint8 [n, kChunk].
+// pairs int32 [n, 2] of cameras: with the view's own ray, and without. The view's own offsets are 0.
+// out uint8 [n, kChunk].
 void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const Chunks& chunks,
             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
             const PairCostParams& params, uint8_t* out);

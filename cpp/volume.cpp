@@ -3,9 +3,7 @@
 // vectorises, in bytes; the costs of a chunk of candidates are then transposed into [x][d] for the pixels
 // that want them.
 #include <algorithm>
-#include <cstdlib>
 #include <cstring>
-#include <numeric>
 #include <vector>
 
 #include "multiview.h"

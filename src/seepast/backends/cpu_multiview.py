@@ -23,7 +23,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """planes uint8 [K, H, PLANES, stride], unclear uint64 [K, H, 2, stride / 64 + 1]: FeatureRows of cpp/multiview.h."""
+    """planes uint8 [K, H, PLANES, stride], unclear uint64 [K, H, 2, stride / 64 + 1]: cpp/multiview.h FeatureRows."""
 
     planes: np.ndarray
     unclear: np.ndarray
