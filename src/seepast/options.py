@@ -144,7 +144,7 @@ class MultiviewOptions(StageOptions):
         1, "", 1, 8, "views are matched at every so many-th candidate, the wanted one's last pass at all"
     )
     colour_cap: int = option(33, "", 0, 100, "a pair's mean colour step costs no more; the census is 96 at most")
-    few_cost: int = option(40, "", 0, 100, "of the census where fewer than 4 neighbours are static in both rays")
+    few_cost: int = option(40, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
     lone_cost: int = option(25, "", 0, 250, "cost where only one static ray exists")
     unseen_cost: int = option(30, "", 0, 250, "cost where none exists")
     small_penalty: int = option(8, "", 0, 200, "P1, one candidate's step between neighbouring pixels")

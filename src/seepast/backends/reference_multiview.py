@@ -106,7 +106,7 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
     """Matching costs of the view's pixels at their candidates: uint8 [n, CHUNK].
 
     cost of a pair of static rays = 96 hamming / n over the n neighbours valid in both (costs.few where there are
-    fewer than 4) + min(mean |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the pairs tolerates
+    fewer than 8) + min(mean |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the pairs tolerates
     rays that a static nearer thing stops. Pairs are those with the view's own ray where that is static, else all
     others' (camera_pairs). No pair: costs.lone with one static ray, costs.unseen with none.
     """
