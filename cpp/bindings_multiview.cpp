@@ -47,7 +47,7 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "census",
       [](In<float, 2> offsets, In<uint8_t, 4> colour, In<uint8_t, 3> is_static, In<int32_t, 2> cubic,
-         In<int32_t, 1> luma, Out<uint8_t, 4> planes, Out<int32_t, 4> unclear) {
+         In<int32_t, 1> luma, Out<uint8_t, 4> planes, Out<uint64_t, 4> unclear) {
         const Array array = array_of(offsets, 0, 0, is_static.shape(1), is_static.shape(2));
         census(array, colour.data(), is_static.data(), cubic.data(), luma.data(),
                static_cast<int>(planes.shape(3)), planes.data(), unclear.data());
@@ -55,17 +55,24 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "chunk_starts",
+      [](In<uint64_t, 2> active, Out<int32_t, 1> start) {
+        chunk_starts(active.data(), active.size(), start.data());
+      },
+      free_lock);
+
+  m.def(
       "volume",
-      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 4> planes, In<int32_t, 4> unclear, int view,
-         const Grid& grid, In<int32_t, 2> with_own, In<int32_t, 2> others, In<uint16_t, 1> census_scale,
-         int few, int colour_weight, int colour_cap, int colour_limit, int lone, int unseen,
-         Out<uint8_t, 3> out) {
-        const Array array = array_of(offsets, cx, cy, out.shape(0), out.shape(1));
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 4> planes, In<uint64_t, 4> unclear, int view,
+         const Grid& grid, In<uint64_t, 2> active, In<int32_t, 1> start, In<int32_t, 2> with_own,
+         In<int32_t, 2> others, In<uint8_t, 1> census_scale, uint8_t few, uint8_t colour_cap, uint8_t lone,
+         uint8_t unseen, Out<uint8_t, 2> out) {
+        const Array array = array_of(offsets, cx, cy, active.shape(0), active.shape(1));
         const FeatureRows rows{planes.data(), unclear.data(), static_cast<int>(planes.shape(3))};
-        const PairCostParams params{census_scale.data(), few,  colour_weight, colour_cap,
-                                    colour_limit,        lone, unseen};
-        volume(array, rows, view, grid, with_own.data(), static_cast<int>(with_own.shape(0)), others.data(),
-               static_cast<int>(others.shape(0)), params, out.data());
+        const PairCostParams params{census_scale.data(), few, colour_cap, lone, unseen};
+        volume(array, rows, view, grid, Chunks{active.data(), start.data()}, with_own.data(),
+               static_cast<int>(with_own.shape(0)), others.data(), static_cast<int>(others.shape(0)), params,
+               out.data());
       },
       free_lock);
 

@@ -1,5 +1,5 @@
 // Stage "describe" of the many-view method: cubic samples at quarter pixels, their census and which of it is
-// static.
+// static. Bands of rows are worked on one by one, so that what a band needs stays in the cache.
 #include <algorithm>
 #include <cstring>
 #include <vector>
@@ -9,27 +9,66 @@
 namespace seepast {
 namespace {
 
-constexpr int kReachX = 4, kReachY = 3;
-constexpr uint64_t kAllValid = (uint64_t{1} << 62) - 1;  // there are 62 neighbours
+constexpr int kReach = 3, kNeighbours = 8 * kBytes;
+constexpr int kBandRows = 32;
+constexpr int kMargin = 16;  // empty columns on either side of a band's rows
 
-// Four samples wide interpolation of one interleaved row; `value` in 128ths, luma in 16 bits.
+// The neighbours as offsets (dy, dx), in the order of many.py REACH.
+struct Neighbour {
+  int dy, dx;
+};
+struct Neighbourhood {
+  constexpr Neighbourhood() {
+    int at = 0;
+    for (int dy = -kReach; dy <= kReach; ++dy)
+      for (int dx = -kReach; dx <= kReach; ++dx)
+        if ((dy + dx) % 2 == 0 && (dy || dx)) list[at++] = {dy, dx};
+  }
+  Neighbour list[kNeighbours]{};
+};
+constexpr Neighbourhood kAround;
+
+// Takes BGR apart, less 128, and luma in 16 bits.
 SEEPAST_CLONES
-void sample_row(const int16_t* __restrict padded, int width, size_t channel_stride, const int32_t* weights,
-                const int32_t* luma, uint8_t* __restrict out, size_t out_stride,
-                uint16_t* __restrict out_luma) {
-  const int w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3];
-  const int16_t *b = padded, *g = b + channel_stride, *r = g + channel_stride;
-  uint8_t *ob = out, *og = ob + out_stride, *orr = og + out_stride;
+void split_row(const uint8_t* __restrict pixels, int width, const int32_t* luma, int16_t* __restrict b,
+               int16_t* __restrict g, int16_t* __restrict r, int32_t* __restrict bright) {
+  const int lb = luma[0], lg = luma[1], lr = luma[2];
   for (int x = 0; x < width; ++x) {
-    const int vb = w0 * b[x] + w1 * b[x + 1] + w2 * b[x + 2] + w3 * b[x + 3];
-    const int vg = w0 * g[x] + w1 * g[x + 1] + w2 * g[x + 2] + w3 * g[x + 3];
-    const int vr = w0 * r[x] + w1 * r[x + 1] + w2 * r[x + 2] + w3 * r[x + 3];
-    const auto byte = [](int v) { return static_cast<uint8_t>(std::clamp((v + 64) >> 7, 0, 255)); };
-    ob[x] = byte(vb);
-    og[x] = byte(vg);
-    orr[x] = byte(vr);
-    const int bright = (luma[0] * vb + luma[1] * vg + luma[2] * vr + 64) >> 7;
-    out_luma[x] = static_cast<uint16_t>(std::clamp(bright, 0, 65535));
+    const int pb = pixels[3 * x], pg = pixels[3 * x + 1], pr = pixels[3 * x + 2];
+    b[x] = static_cast<int16_t>(pb - 128);
+    g[x] = static_cast<int16_t>(pg - 128);
+    r[x] = static_cast<int16_t>(pr - 128);
+    bright[x] = lb * pb + lg * pg + lr * pr;
+  }
+}
+
+template <class T>
+void extend_edges(T* padded, int width) {
+  padded[0] = padded[1];
+  padded[width + 1] = padded[width + 2] = padded[width];
+}
+
+// Cubic samples of one channel. Less 128, the weighted sum is below 152 * 128 and fits 16 bits.
+SEEPAST_CLONES
+void sample_row(const int16_t* __restrict in, int width, const int32_t* weights, uint8_t* __restrict out) {
+  const int16_t w0 = static_cast<int16_t>(weights[0]), w1 = static_cast<int16_t>(weights[1]),
+                w2 = static_cast<int16_t>(weights[2]), w3 = static_cast<int16_t>(weights[3]);
+  for (int x = 0; x < width; ++x) {
+    const int16_t sum =
+        static_cast<int16_t>(w0 * in[x] + w1 * in[x + 1] + w2 * in[x + 2] + w3 * in[x + 3] + 64);
+    const int16_t sample = static_cast<int16_t>(sum >> 7);
+    const int16_t low = sample > -128 ? sample : int16_t{-128};
+    const int16_t cut = low < 127 ? low : int16_t{127};
+    out[x] = static_cast<uint8_t>(cut + 128);
+  }
+}
+
+SEEPAST_CLONES
+void sample_luma(const int32_t* __restrict in, int width, const int32_t* weights, uint16_t* __restrict out) {
+  const int w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3];
+  for (int x = 0; x < width; ++x) {
+    const int sample = (w0 * in[x] + w1 * in[x + 1] + w2 * in[x + 2] + w3 * in[x + 3] + 64) >> 7;
+    out[x] = static_cast<uint16_t>(std::clamp(sample, 0, 65535));
   }
 }
 
@@ -47,153 +86,161 @@ void compare_row(const uint16_t* __restrict mid, const uint16_t* const* around, 
   }
 }
 
+// Bit i of out[x] is around[i][x], which is 0 or 1.
 SEEPAST_CLONES
 void gather_bits(const uint8_t* const* around, int width, uint8_t* __restrict out) {
   const uint8_t *a0 = around[0], *a1 = around[1], *a2 = around[2], *a3 = around[3], *a4 = around[4],
                 *a5 = around[5], *a6 = around[6], *a7 = around[7];
-  for (int x = 0; x < width; ++x)
-    out[x] = static_cast<uint8_t>(a0[x] | a1[x] << 1 | a2[x] << 2 | a3[x] << 3 | a4[x] << 4 | a5[x] << 5 |
-                                  a6[x] << 6 | a7[x] << 7);
+  const auto twice = [](uint8_t v, uint8_t bit) { return static_cast<uint8_t>(v + v + bit); };
+  for (int x = 0; x < width; ++x) {
+    const uint8_t high = twice(twice(twice(a7[x], a6[x]), a5[x]), a4[x]);
+    out[x] = twice(twice(twice(twice(high, a3[x]), a2[x]), a1[x]), a0[x]);
+  }
 }
 
-// The neighbours as offsets (dy, dx), in the order of many.py REACH.
-struct Neighbour {
-  int dy, dx;
-};
-struct Reach {
-  Reach() {
-    int at = 0;
-    for (int dy = -kReachY; dy <= kReachY; ++dy)
-      for (int dx = -kReachX; dx <= kReachX; ++dx)
-        if (dy || dx) list[at++] = {dy, dx};
-    count = at;
+// Bit per column that is not static or has a neighbour that is not; `valid` are three planes and the static
+// one.
+SEEPAST_CLONES
+void mark_unclear(const uint8_t* valid, int stride, uint8_t* __restrict flags, uint64_t* __restrict out) {
+  const uint8_t *v0 = valid, *v1 = v0 + stride, *v2 = v1 + stride, *is_static = v2 + stride;
+  for (int x = 0; x < stride; ++x)
+    flags[x] = (v0[x] & v1[x] & v2[x] & static_cast<uint8_t>(-is_static[x])) == 255 ? 0 : 1;
+  for (int x = 0; x < stride; x += 64) {
+    uint64_t bits = 0;
+    for (int i = 0; i < 8; ++i) {
+      uint64_t eight;
+      std::memcpy(&eight, flags + x + 8 * i, 8);
+      bits |= (eight * 0x0102040810204080ull >> 56) << (8 * i);
+    }
+    out[x / 64] = bits;
   }
-  Neighbour list[64];
-  int count;
-};
+  out[stride / 64] = ~uint64_t{0};
+}
 
 struct View {
   const Array& array;
   const uint8_t* colour;
   const uint8_t* is_static;
+  const int32_t *cubic, *luma;
   int stride;
   uint8_t* planes;
-  int32_t* unclear;
+  uint64_t* unclear;
 
-  uint8_t* row(int y) const { return planes + static_cast<size_t>(y) * kPlanes * stride; }
+  uint8_t* plane(int y, int number) const {
+    return planes + (static_cast<size_t>(y) * kPlanes + number) * stride + kBlock;
+  }
 };
 
-// Colours and static flags of row y at the four phases; luma of phase p at luma + p * luma_stride.
-void samples(const View& view, int y, const int32_t* cubic, const int32_t* luma_weights, int16_t* padded,
-             uint16_t* luma, size_t luma_stride) {
-  const int width = view.array.width;
-  const uint8_t* pixels = view.colour + static_cast<size_t>(y) * width * 3;
-  const size_t channel = width + 3;
-  for (int c = 0; c < 3; ++c) {
-    int16_t* line = padded + c * channel;
-    for (int x = 0; x < width; ++x) line[x + 1] = pixels[3 * x + c];
-    line[0] = line[1];
-    line[width + 1] = line[width + 2] = line[width];
-  }
-  uint8_t* out = view.row(y);
-  for (int phase = 0; phase < 4; ++phase)
-    sample_row(padded, width, channel, cubic + 4 * phase, luma_weights,
-               out + static_cast<size_t>(plane_colour(phase)) * view.stride + kBlock, view.stride,
-               luma + phase * luma_stride + kBlock);
-  const uint8_t* here = view.is_static + static_cast<size_t>(y) * width;
-  uint8_t* whole = out + static_cast<size_t>(plane_static(0)) * view.stride + kBlock;
-  uint8_t* between = out + static_cast<size_t>(plane_static(1)) * view.stride + kBlock;
-  for (int x = 0; x < width; ++x) whole[x] = here[x];
-  for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
-}
+// Luma and static flags of the rows of a band and kReach rows around it, and what makes features of them.
+class Band {
+ public:
+  Band(int width, int stride)
+      : line(width + 2 * kMargin),
+        luma(static_cast<size_t>(kRows) * 4 * line),
+        is_static(static_cast<size_t>(kRows) * 2 * line),
+        channels(3 * static_cast<size_t>(width + 3)),
+        bright(width + 3),
+        flags(stride) {}
 
-// Calls row_of(dy) for the neighbours' rows and fills the words of row y: `group` fills one byte of every
-// word.
-template <class Element, class RowOf, class Group>
-void words_of_row(const View& view, const Element* nothing, RowOf row_of, Group group, uint8_t* bytes,
-                  uint8_t* words) {
-  static const Reach reach;
-  const int width = view.array.width;
-  for (int byte = 0; byte < kWord; ++byte) {
-    const Element* around[8];
-    for (int i = 0; i < 8; ++i) {
-      const int n = kWord * byte + i;
-      around[i] = n < reach.count ? row_of(reach.list[n].dy) + reach.list[n].dx : nothing;
+  void describe(const View& view, int from, int to) {
+    first = from - kReach;
+    for (int y = first; y < to + kReach; ++y) sample(view, y, y >= from && y < to);
+    for (int y = from; y < to; ++y) {
+      for (int phase = 0; phase < 4; ++phase) census_row(view, y, phase);
+      for (int phase = 0; phase < 2; ++phase) valid_row(view, y, phase);
     }
-    group(around, bytes + static_cast<size_t>(byte) * width);
   }
-  transpose(bytes, width, kWord, width, words + kBlock * kWord, kWord);
-}
 
-// Census of row y at one phase from the luma rows of that phase; `none` is an empty row, `bytes` 8 rows of
-// scratch.
-void census_row(const View& view, int y, int phase, const uint16_t* luma, size_t line, const uint16_t* none,
-                uint8_t* bytes) {
-  const auto luma_row = [&](int dy) {
-    const int at = y + dy;
-    return (at < 0 || at >= view.array.height ? none : luma + static_cast<size_t>(at) * 4 * line) + kBlock;
-  };
-  const uint16_t* mid = luma_row(0);  // is not darker than itself
-  words_of_row(
-      view, mid, luma_row,
-      [&](const uint16_t* const* around, uint8_t* out) { compare_row(mid, around, view.array.width, out); },
-      bytes, view.row(y) + static_cast<size_t>(plane_census(phase)) * view.stride);
-}
-
-// Which neighbours are static, at whole (phase 0) or fractional positions, and the count of columns that lack
-// one.
-void valid_row(const View& view, int y, int phase, const uint8_t* none, uint8_t* bytes) {
-  const size_t stride = view.stride;
-  const auto static_row = [&](int dy) {
-    const int at = y + dy;
-    const bool outside = at < 0 || at >= view.array.height;
-    return (outside ? none : view.row(at) + plane_static(phase) * stride) + kBlock;
-  };
-  uint8_t* words = view.row(y) + plane_valid(phase) * stride;
-  words_of_row(
-      view, none + kBlock, static_row,
-      [&](const uint8_t* const* around, uint8_t* out) { gather_bits(around, view.array.width, out); }, bytes,
-      words);
-  const uint8_t* centre = view.row(y) + plane_static(phase) * stride;
-  int32_t* count = view.unclear + (static_cast<size_t>(y) * 2 + (phase ? 1 : 0)) * (stride + 1);
-  count[0] = 0;
-  for (size_t x = 0; x < stride; ++x) {
-    uint64_t word;
-    std::memcpy(&word, words + kWord * x, sizeof(word));
-    count[x + 1] = count[x] + !(word == kAllValid && centre[x]);
+ private:
+  static constexpr int kRows = kBandRows + 2 * kReach;
+  uint16_t* luma_row(int y, int phase) {
+    return luma.data() + (static_cast<size_t>(y - first) * 4 + phase) * line + kMargin;
   }
-}
+  uint8_t* static_row(int y, int phase) {
+    return is_static.data() + (static_cast<size_t>(y - first) * 2 + phase) * line + kMargin;
+  }
+
+  // Row y of the band; its colours only if they are `wanted`.
+  void sample(const View& view, int y, bool wanted) {
+    const int width = view.array.width;
+    if (y < 0 || y >= view.array.height) {
+      for (int phase = 0; phase < 4; ++phase) std::fill_n(luma_row(y, phase), width, uint16_t{0});
+      for (int phase = 0; phase < 2; ++phase) std::fill_n(static_row(y, phase), width, uint8_t{0});
+      return;
+    }
+    int16_t* lines[3] = {channels.data(), channels.data() + width + 3, channels.data() + 2 * (width + 3)};
+    split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, lines[0] + 1, lines[1] + 1,
+              lines[2] + 1, bright.data() + 1);
+    extend_edges(bright.data(), width);
+    for (int phase = 0; phase < 4; ++phase)
+      sample_luma(bright.data(), width, view.cubic + 4 * phase, luma_row(y, phase));
+    for (int c = 0; wanted && c < 3; ++c) {
+      extend_edges(lines[c], width);
+      for (int phase = 0; phase < 4; ++phase)
+        sample_row(lines[c], width, view.cubic + 4 * phase, view.plane(y, plane_colour(phase) + c));
+    }
+    const uint8_t* here = view.is_static + static_cast<size_t>(y) * width;
+    uint8_t *whole = static_row(y, 0), *between = static_row(y, 1);
+    for (int x = 0; x < width; ++x) whole[x] = here[x];
+    for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
+    between[width - 1] = 0;
+  }
+
+  void census_row(const View& view, int y, int phase) {
+    const uint16_t* mid = luma_row(y, phase);
+    for (int byte = 0; byte < kBytes; ++byte) {
+      const uint16_t* around[8];
+      for (int i = 0; i < 8; ++i) {
+        const auto [dy, dx] = kAround.list[8 * byte + i];
+        around[i] = luma_row(y + dy, phase) + dx;
+      }
+      compare_row(mid, around, view.array.width, view.plane(y, plane_census(phase) + byte));
+    }
+  }
+
+  // Which neighbours are static, at whole (phase 0) or fractional positions.
+  void valid_row(const View& view, int y, int phase) {
+    const int width = view.array.width;
+    uint8_t* planes = view.plane(y, plane_valid(phase)) - kBlock;
+    std::memset(planes, 0, (kBytes + 1) * static_cast<size_t>(view.stride));
+    for (int byte = 0; byte < kBytes; ++byte) {
+      const uint8_t* around[8];
+      for (int i = 0; i < 8; ++i) {
+        const auto [dy, dx] = kAround.list[8 * byte + i];
+        around[i] = static_row(y + dy, phase) + dx;
+      }
+      gather_bits(around, width, view.plane(y, plane_valid(phase) + byte));
+    }
+    std::memcpy(view.plane(y, plane_static(phase)), static_row(y, phase), width);
+    mark_unclear(planes, view.stride, flags.data(),
+                 view.unclear + (static_cast<size_t>(y) * 2 + phase) * (view.stride / 64 + 1));
+  }
+
+  size_t line;
+  int first = 0;
+  std::vector<uint16_t> luma;
+  std::vector<uint8_t> is_static;
+  std::vector<int16_t> channels;
+  std::vector<int32_t> bright;
+  std::vector<uint8_t> flags;
+};
 
 }  // namespace
 
 void census(const Array& array, const uint8_t* colour, const uint8_t* is_static, const int32_t* cubic,
-            const int32_t* luma_weights, int stride, uint8_t* planes, int32_t* unclear) {
-  const int height = array.height;
-  const size_t line = stride, row_bytes = static_cast<size_t>(kPlanes) * stride;
-  std::vector<uint16_t> luma(static_cast<size_t>(height) * 4 * line), none(line);
-  std::vector<uint8_t> no_static(line);
-  for (int k = 0; k < array.cameras; ++k) {
-    const View view{array,
-                    colour + k * array.pixels() * 3,
-                    is_static + k * array.pixels(),
-                    stride,
-                    planes + k * height * row_bytes,
-                    unclear + static_cast<size_t>(k) * height * 2 * (stride + 1)};
+            const int32_t* luma, int stride, uint8_t* planes, uint64_t* unclear) {
+  const int bands = (array.height + kBandRows - 1) / kBandRows;
 #pragma omp parallel
-    {
-      std::vector<int16_t> padded(3 * static_cast<size_t>(array.width + 3));
-      std::vector<uint8_t> bytes(kWord * static_cast<size_t>(array.width));
-#pragma omp for schedule(static)
-      for (int y = 0; y < height; ++y) {
-        std::memset(view.row(y), 0, row_bytes);
-        samples(view, y, cubic, luma_weights, padded.data(), luma.data() + y * 4 * line, line);
-      }
-#pragma omp for schedule(static)
-      for (int y = 0; y < height; ++y) {
-        for (int phase = 0; phase < 4; ++phase)
-          census_row(view, y, phase, luma.data() + phase * line, line, none.data(), bytes.data());
-        for (int phase = 0; phase < 2; ++phase) valid_row(view, y, phase, no_static.data(), bytes.data());
-      }
+  {
+    Band band(array.width, stride);
+#pragma omp for schedule(dynamic, 1)
+    for (int task = 0; task < array.cameras * bands; ++task) {
+      const int k = task / bands, from = task % bands * kBandRows;
+      const size_t rows = static_cast<size_t>(k) * array.height;
+      const View view{
+          array,  colour + k * array.pixels() * 3,  is_static + k * array.pixels(),        cubic, luma,
+          stride, planes + rows * kPlanes * stride, unclear + rows * 2 * (stride / 64 + 1)};
+      band.describe(view, from, std::min(from + kBandRows, array.height));
     }
   }
 }

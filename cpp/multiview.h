@@ -21,40 +21,49 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
              const Grid& grid, int reach, int spread, int height, int width, uint64_t* active);
 
 // Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x +
-// kBlock. The words of census and valid take 8 planes. Outside the image all is 0. Phase p is the sample at x
-// + p / 4.
-constexpr int kWord = 8;
-constexpr int plane_census(int phase) { return phase * kWord; }
-constexpr int plane_valid(int phase) { return 4 * kWord + (phase ? kWord : 0); }
-constexpr int plane_colour(int phase) { return 6 * kWord + 3 * phase; }
-constexpr int plane_static(int phase) { return 6 * kWord + 12 + (phase ? 1 : 0); }
-constexpr int kPlanes = 6 * kWord + 14;
+// kBlock. The 24 bits of census and valid are three planes each. Outside the image nothing is valid or static
+// and the rest is not set. Phase p is the sample at x + p / 4.
+constexpr int kBytes = 3;
+constexpr int plane_census(int phase) { return 2 * kBytes * phase; }
+constexpr int plane_colour(int phase) { return plane_census(phase) + kBytes; }
+constexpr int plane_valid(int phase) { return 8 * kBytes + (phase ? kBytes + 1 : 0); }
+constexpr int plane_static(int phase) { return plane_valid(phase) + kBytes; }
+constexpr int kPlanes = 10 * kBytes + 2;
 
 struct FeatureRows {
-  const uint8_t* planes;  // [K, H, kPlanes, stride]
-  const int32_t*
-      unclear;  // [K, H, 2, stride + 1]: columns before it that lack a valid bit, whole and fractional
+  const uint8_t* planes;    // [K, H, kPlanes, stride]
+  const uint64_t* unclear;  // [K, H, 2, stride / 64 + 1]: bit per column that is not static or lacks a valid
+                            // bit, whole and fractional
   int stride;
 
   const uint8_t* row(int camera, int height, int y) const {
     return planes + (static_cast<size_t>(camera) * height + y) * kPlanes * stride;
   }
-  const int32_t* unclear_row(int camera, int height, int y, int phase) const {
-    return unclear + ((static_cast<size_t>(camera) * height + y) * 2 + (phase ? 1 : 0)) * (stride + 1);
+  const uint64_t* unclear_row(int camera, int height, int y, int phase) const {
+    return unclear + ((static_cast<size_t>(camera) * height + y) * 2 + (phase ? 1 : 0)) * (stride / 64 + 1);
   }
 };
 
 // colour uint8 [K, H, W, 3]; is_static uint8 [K, H, W]; cubic int32 [4, 4] in 128ths; luma int32 [3] in
 // 256ths.
 void census(const Array& array, const uint8_t* colour, const uint8_t* is_static, const int32_t* cubic,
-            const int32_t* luma, int stride, uint8_t* planes, int32_t* unclear);
+            const int32_t* luma, int stride, uint8_t* planes, uint64_t* unclear);
+
+// What of the grid every pixel is matched at (candidates.py Candidates).
+constexpr int kChunk = 16;
+struct Chunks {
+  const uint64_t* active;  // [H, W]
+  const int32_t* start;    // [H W + 1]
+};
+void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start);
 
 struct PairCostParams {
-  const uint16_t* census_scale;  // [64], by valid neighbours; 0: few
-  int few, colour_weight, colour_cap, colour_limit, lone, unseen;
+  const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few
+  uint8_t few, colour_cap, lone, unseen;
 };
-// pairs int32 [n, 2] of cameras: with the view's own ray, and without. out uint8 [H, W, grid.count].
-void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid,
+// pairs int32 [n, 2] of cameras: with the view's own ray, and without. The view's own offsets are 0.
+// out uint8 [n, kChunk].
+void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const Chunks& chunks,
             const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
             const PairCostParams& params, uint8_t* out);
 
@@ -116,5 +125,35 @@ void for_each_run(int from, int to, Offset offset_at, Use use) {
 
 // Transposes bytes: out[x * out_stride + i] = rows[i * row_stride + x], x < width, i < count.
 void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out, size_t out_stride);
+
+// Sixteen bytes, and the 16 x 16 transpose of them.
+typedef uint8_t Sixteen __attribute__((vector_size(16)));
+inline Sixteen low_halves(Sixteen a, Sixteen b) {  // a0 b0 a1 b1 ..
+#if defined(__clang__)
+  return __builtin_shufflevector(a, b, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+#else
+  return __builtin_shuffle(a, b, Sixteen{0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23});
+#endif
+}
+inline Sixteen high_halves(Sixteen a, Sixteen b) {  // a8 b8 a9 b9 ..
+#if defined(__clang__)
+  return __builtin_shufflevector(a, b, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+#else
+  return __builtin_shuffle(a, b, Sixteen{8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31});
+#endif
+}
+// out[x][i] = rows[i * row_stride + x]: row i is interleaved with row i + 8 four times over.
+inline void transpose_16x16(const uint8_t* rows, size_t row_stride, Sixteen* out) {
+  Sixteen a[16], b[16];
+  for (int i = 0; i < 16; ++i) __builtin_memcpy(a + i, rows + i * row_stride, 16);
+  for (int i = 0; i < 8; ++i)
+    b[2 * i] = low_halves(a[i], a[i + 8]), b[2 * i + 1] = high_halves(a[i], a[i + 8]);
+  for (int i = 0; i < 8; ++i)
+    a[2 * i] = low_halves(b[i], b[i + 8]), a[2 * i + 1] = high_halves(b[i], b[i + 8]);
+  for (int i = 0; i < 8; ++i)
+    b[2 * i] = low_halves(a[i], a[i + 8]), b[2 * i + 1] = high_halves(a[i], a[i + 8]);
+  for (int i = 0; i < 8; ++i)
+    out[2 * i] = low_halves(b[i], b[i + 8]), out[2 * i + 1] = high_halves(b[i], b[i + 8]);
+}
 
 }  // namespace seepast

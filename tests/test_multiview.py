@@ -11,7 +11,7 @@ from arrays import Scene, make_scene, noise_scene
 from seepast import Options, _core, multiview
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
-from seepast.candidates import DisparityGrid
+from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.frames import Frame
 from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
 from seepast.pipeline import Clock
@@ -19,6 +19,7 @@ from seepast.pipeline import Clock
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
 FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
+VOLUME_GRIDS = (DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 80))
 GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
 
 SCENES = {
@@ -93,23 +94,64 @@ def test_describe(name):
     inner = slice(_core.BLOCK, _core.BLOCK + width)
     rows = np.moveaxis(found.planes, 2, 1)  # [K, planes, H, stride]
     assert not np.delete(rows, np.r_[inner], axis=-1)[:, -2:].any()  # nothing is static beside the image
-    words = found.planes[:, :, :48].reshape(*found.planes.shape[:2], 6, -1).view(np.uint64)[..., inner]
-    words = np.moveaxis(words, 2, 1)  # [K, census at 4 phases and valid at 2, H, W]
-    assert_same(expected.census, words[:, :4])
-    assert_same(expected.valid[:, :2], words[:, 4:])
-    assert_same(np.moveaxis(expected.colour, -1, 2), rows[:, 48:60, :, inner].reshape(len(rows), 4, 3, -1, width))
-    assert_same(expected.static[:, :2], rows[:, 60:62, :, inner].astype(bool))
+    inside = rows[..., inner]
+    for p in range(4):
+        assert_same(expected.census[:, p], word(inside[:, 6 * p : 6 * p + 3]))
+        assert_same(np.moveaxis(expected.colour[:, p], -1, 1), inside[:, 6 * p + 3 : 6 * p + 6])
+    for p in range(2):
+        assert_same(expected.valid[:, p], word(inside[:, 24 + 4 * p : 27 + 4 * p]))
+        assert_same(expected.static[:, p], inside[:, 27 + 4 * p].astype(bool))
+    unclear = np.unpackbits(found.unclear.view(np.uint8), axis=-1, bitorder="little")[..., : rows.shape[-1]]
+    clear = (expected.valid == (1 << 24) - 1) & expected.static
+    assert_same(clear[:, :2], np.moveaxis(unclear[..., inner] == 0, 2, 1))
+    assert np.delete(unclear, np.r_[inner], axis=-1).all()
+
+
+def word(planes: np.ndarray) -> np.ndarray:
+    """Three planes of bytes [K, 3, H, W] as one of 24 bits."""
+    return (planes.astype(np.uint32) << np.array([0, 8, 16], np.uint32)[:, None, None]).sum(1, dtype=np.uint32)
+
+
+def masks_of(kind: str, grid: DisparityGrid, shape: tuple[int, int]) -> Candidates:
+    """Every pixel at all chunks; at any that chance will; or at a run of them that moves slowly, and another."""
+    chunks, rng = grid.count // CHUNK, np.random.default_rng(8)
+    if kind == "all":
+        return Candidates.all(grid, shape)
+    if kind == "random":
+        active = rng.integers(0, 1 << min(chunks, 63), shape, np.uint64)
+        return Candidates.of(grid, np.where(active == 0, np.uint64(1 << (chunks - 1)), active))
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    first = ((x // 23 + y // 7) % chunks).astype(np.uint64)
+    second = np.where(x % 40 < 9, (first + np.uint64(2)) % np.uint64(chunks), first)
+    return Candidates.of(grid, np.uint64(1) << first | np.uint64(1) << second)
 
 
 @every_scene
-def test_volume(name):
+@pytest.mark.parametrize("masks", ["all", "random", "clustered"])
+def test_volume(name, masks):
     c = case(name)
     features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
     for k in c.some_views:
-        for grid in GRIDS[1:]:
+        for grid in VOLUME_GRIDS:
+            candidates = masks_of(masks, grid, c.static.shape[1:])
             assert_same(
-                *(b.volume(f, c.views[k], grid, COSTS) for b, f in zip((reference, cpu), features, strict=True))
+                *(b.volume(f, c.views[k], candidates, COSTS) for b, f in zip((reference, cpu), features, strict=True))
             )
+
+
+@pytest.mark.parametrize("chunks", [1, 5, 64])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 70), (41, 13)])
+def test_chunk_starts(chunks, shape):
+    bits = np.random.default_rng(chunks).random((*shape, chunks)) < 0.4
+    bits[..., 0] |= ~bits.any(-1)
+    active = (bits.astype(np.uint64) << np.arange(chunks, dtype=np.uint64)).sum(-1, dtype=np.uint64)
+    found = Candidates.of(DisparityGrid(0, 8, CHUNK * chunks), active)
+    assert_same(found.start, np.append(0, np.cumsum(bits.sum(-1))).astype(np.int32))
+    assert_same(found.mask, bits.repeat(CHUNK, -1))
+    assert_same(
+        Candidates.all(found.grid, shape).start,
+        Candidates.of(found.grid, Candidates.all(found.grid, shape).active).start,
+    )
 
 
 @every_scene

@@ -16,8 +16,9 @@ FULL_VOTE = 2 * CONFIDENT * UNITS  # units of one full vote of a confident view
 # Keys' cubic (A = -1/2) at 0, 1/4, 1/2, 3/4 between the second and third of four pixels, in 128ths: exact
 CUBIC = np.array([[0, 128, 0, 0], [-9, 111, 29, -3], [-8, 72, 72, -8], [-3, 29, 111, -9]], np.int32)
 LUMA = np.array([29, 150, 77], np.int32)  # of B, G, R in 256ths
-# neighbours (dy, dx) of the census
-REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-4, 5) if (dy, dx) != (0, 0))
+# neighbours (dy, dx) of the census: every other pixel of a 7 x 7 window, like a chessboard
+REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-3, 4) if (dy + dx) % 2 == 0 and (dy, dx) != (0, 0))
+FEW = 8  # of them, or more, must be static in both rays
 
 
 def cubic_weights(t: np.ndarray) -> list[np.ndarray]:
@@ -46,31 +47,26 @@ def camera_pairs(cameras: int, view: int) -> tuple[list[tuple[int, int]], list[t
 
 @dataclass(frozen=True, eq=False)
 class PairCosts:
-    """Matching cost of a pair of rays, in 256ths of a cost: uint16 numbers.
+    """Matching cost of a pair of rays; numbers below 101, so that costs fit bytes.
 
-    census_scale  uint16 [64]: cost of one differing neighbour, by how many are valid; 0 below 8
+    census_scale  uint8 [32]: cost of one differing neighbour in 8ths, by how many are valid: 4 if all 24 are;
+                  0 below FEW
     few           cost of the census there
-    colour_weight, colour_cap   of the sum of |dBGR|, which is cut at colour_limit
-    lone, unseen  costs (whole) with one static ray, with none
+    colour_cap    the mean colour step costs no more
+    lone, unseen  costs with one static ray, with none
     """
 
     census_scale: np.ndarray
     few: int
-    colour_weight: int
     colour_cap: int
-    colour_limit: int
     lone: int
     unseen: int
 
     @staticmethod
     def of(options: MultiviewOptions) -> PairCosts:
-        n = np.maximum(np.arange(64), 1)
-        scale = np.where(np.arange(64) < 8, 0, np.round(25600 / n)).astype(np.uint16)
-        weight, cap = round(256 * options.colour_weight), round(256 * options.colour_cap)
-        limit = min(765, cap // max(weight, 1) + 1)
-        return PairCosts(
-            scale, round(256 * options.few_cost), weight, cap, limit, options.lone_cost, options.unseen_cost
-        )
+        n = np.arange(32)
+        scale = np.where(n < FEW, 0, np.round(8 * 4 * len(REACH) / np.maximum(n, FEW))).astype(np.uint8)
+        return PairCosts(scale, options.few_cost, options.colour_cap, options.lone_cost, options.unseen_cost)
 
 
 @dataclass(frozen=True, eq=False)

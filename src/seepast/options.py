@@ -149,9 +149,8 @@ class MultiviewOptions(StageOptions):
         True, "", None, None, "at full size all views are matched everywhere; else only around what people hide"
     )
     paths: int = option(8, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
-    colour_weight: float = option(0.33, "1 / grey level", 0, 4, "of sum |dBGR| in the cost of a pair of rays")
-    colour_cap: float = option(33.0, "", 0, 100, "it is never more; the census is 100 at most")
-    few_cost: float = option(40.0, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
+    colour_cap: int = option(33, "", 0, 100, "a pair's mean colour step costs no more; the census is 96 at most")
+    few_cost: int = option(40, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
     lone_cost: int = option(25, "", 0, 250, "cost where only one static ray exists")
     unseen_cost: int = option(30, "", 0, 250, "cost where none exists")
     small_penalty: int = option(8, "", 0, 200, "P1, one candidate's step between neighbouring pixels")

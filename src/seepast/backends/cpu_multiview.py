@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from .. import _core
-from ..candidates import DisparityGrid
+from ..candidates import CHUNK, Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
 from ..many import CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
@@ -17,13 +17,14 @@ from .reference import FOREGROUND_WEIGHT, NEARER
 from .reference_multiview import confidence_of
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows", "witnesses"
+    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows",
+    "witnesses"
 ]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """planes uint8 [K, H, PLANES, stride] and unclear int32 [K, H, 2, stride + 1]: FeatureRows of cpp/multiview.h."""
+    """planes uint8 [K, H, PLANES, stride], unclear uint64 [K, H, 2, stride / 64 + 1]: cpp/multiview.h FeatureRows."""
 
     planes: np.ndarray
     unclear: np.ndarray
@@ -33,7 +34,7 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     K, height, width = static.shape
     stride = -(-width // _core.BLOCK) * _core.BLOCK + 2 * _core.BLOCK
     planes = np.empty((K, height, _core.PLANES, stride), np.uint8)
-    unclear = np.empty((K, height, 2, stride + 1), np.int32)
+    unclear = np.empty((K, height, 2, stride // 64 + 1), np.uint64)
     _core.census(np.zeros((K, 5), np.float32), colour, _bytes(static), CUBIC, LUMA, planes, unclear)
     return Features(planes, unclear)
 
@@ -52,14 +53,13 @@ def windows(
     return active
 
 
-def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, costs: PairCosts) -> np.ndarray:
-    width, height = geometry.size
+def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, costs: PairCosts) -> np.ndarray:
     pairs = (np.array(p, np.int32).reshape(-1, 2) for p in camera_pairs(geometry.cameras, geometry.reference))
-    out = np.empty((height, width, grid.count), np.uint8)
+    out = np.empty((int(candidates.start[-1]), CHUNK), np.uint8)
     _core.volume(
-        geometry.offsets, *geometry.center, features.planes, features.unclear, geometry.reference, _grid(grid), *pairs,
-        costs.census_scale, costs.few, costs.colour_weight, costs.colour_cap, costs.colour_limit, costs.lone,
-        costs.unseen, out,
+        geometry.offsets, *geometry.center, features.planes, features.unclear, geometry.reference,
+        _grid(candidates.grid), candidates.active, candidates.start, *pairs, costs.census_scale, costs.few,
+        costs.colour_cap, costs.lone, costs.unseen, out,
     )  # fmt: skip
     return out
 

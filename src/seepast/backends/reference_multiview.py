@@ -6,8 +6,8 @@ x^k = W_k(x, d) is where its pixel x lies in camera k at disparity d. Nothing bu
 floating point; where they do, the order of the operations is part of the specification.
 
 Common shapes:  colour uint8 [K, H, W, 3] (grey views repeat their channel);  static bool [K, H, W];  a view's
-disparity uint16 [H, W] in 32nds of a pixel over the array;  volumes uint8 [H, W, count], costs of the candidates of
-a DisparityGrid;  confidence uint8 in 20ths.
+disparity uint16 [H, W] in 32nds of a pixel over the array;  volumes uint8 [n, CHUNK], costs of the chunks of
+Candidates;  confidence uint8 in 20ths.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ..candidates import CHUNK, EIGHTHS, DisparityGrid
+from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
 from ..many import (
     CONFIDENT,
@@ -59,8 +59,8 @@ class Features:
     """Every view at its four quarter-pixel phases p: sample (p, x) lies at x + p / 4.
 
     colour  uint8 [K, 4, H, W, 3]
-    census  uint64 [K, 4, H, W]: bit per neighbour of the 9 x 7 window, set where it is darker than the sample
-    valid   uint64 [K, 4, H, W]: bit per neighbour, set where it is static
+    census  uint32 [K, 4, H, W]: bit per neighbour (REACH), set where it is darker than the sample
+    valid   uint32 [K, 4, H, W]: bit per neighbour, set where it is static
     static  bool [K, 4, H, W]: every pixel that the sample lies between is static
     """
 
@@ -78,7 +78,7 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     """
     K, height, width, _ = colour.shape
     phases = np.empty((K, 4, height, width, 3), np.uint8)
-    census = np.zeros((K, 4, height, width), np.uint64)
+    census = np.zeros((K, 4, height, width), np.uint32)
     valid, usable = np.zeros_like(census), np.empty(census.shape, bool)
     padded = np.pad(colour.astype(np.int32), ((0, 0), (0, 0), (1, 2), (0, 0)), mode="edge")
     beside = np.pad(static[..., 1:], ((0, 0), (0, 0), (0, 1)))
@@ -88,8 +88,8 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
         luma = (((value * LUMA).sum(-1) + 64) >> 7).clip(0, 65535)
         usable[:, p] = static & beside if p else static
         for bit, (dy, dx) in enumerate(REACH):
-            census[:, p] |= (moved(luma, dy, dx) < luma).astype(np.uint64) << np.uint64(bit)
-            valid[:, p] |= moved(usable[:, p], dy, dx).astype(np.uint64) << np.uint64(bit)
+            census[:, p] |= (moved(luma, dy, dx) < luma).astype(np.uint32) << np.uint32(bit)
+            valid[:, p] |= moved(usable[:, p], dy, dx).astype(np.uint32) << np.uint32(bit)
     return Features(phases, census, valid, usable)
 
 
@@ -134,14 +134,15 @@ def windows(
 # ------------------------------------------------------------------------------------------------- volume
 
 
-def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, costs: PairCosts) -> np.ndarray:
-    """Matching costs of the view's pixels at every candidate: uint8 [H, W, count].
+def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, costs: PairCosts) -> np.ndarray:
+    """Matching costs of the view's pixels at their candidates: uint8 [n, CHUNK].
 
-    cost of a pair of static rays = 100 hamming / n over the n neighbours valid in both (costs.few where there are
-    fewer than 8) + min(colour_weight * sum |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the
-    pairs tolerates rays that a static nearer thing stops. Pairs are those with the view's own ray where that is
-    static, else all others' (camera_pairs). No pair: costs.lone with one static ray, costs.unseen with none.
+    cost of a pair of static rays = 96 hamming / n over the n neighbours valid in both (costs.few where there are
+    fewer than 8) + min(mean |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the pairs tolerates
+    rays that a static nearer thing stops. Pairs are those with the view's own ray where that is static, else all
+    others' (camera_pairs). No pair: costs.lone with one static ray, costs.unseen with none.
     """
+    grid = candidates.grid
     r = geometry.reference
     K, _, height, width = features.static.shape
     with_own, others = camera_pairs(K, r)
@@ -155,7 +156,7 @@ def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, cos
         cost = np.where(own, mine, theirs)
         any_ray = np.logical_or.reduce([ray[3] for ray in rays])
         out[..., i] = np.where(cost == NO_PAIR, np.where(any_ray, costs.lone, costs.unseen), cost)
-    return out
+    return out[candidates.mask].reshape(-1, CHUNK)
 
 
 def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
@@ -170,14 +171,14 @@ def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
 
 
 def pair_cost(a, b, costs: PairCosts) -> np.ndarray:
-    """int32 [H, W], NO_PAIR where not both rays are static. In 256ths until the last step."""
+    """int32 [H, W], NO_PAIR where not both rays are static. Nothing in it needs more than bytes if all are valid."""
     valid = a[1] & b[1]
     hamming, n = popcount((a[0] ^ b[0]) & valid), popcount(valid)
     scale = costs.census_scale[n].astype(np.int32)
-    census = np.where(scale > 0, hamming * scale, costs.few)
-    difference = np.minimum(np.abs(a[2] - b[2]).sum(-1), costs.colour_limit)
-    cost = (census + np.minimum(difference * costs.colour_weight, costs.colour_cap) + 128) >> 8
-    return np.where(a[3] & b[3], cost, NO_PAIR)
+    census = np.where(scale > 0, (hamming * scale + 4) >> 3, costs.few)
+    blue, green, red = np.moveaxis(np.abs(a[2] - b[2]), -1, 0)
+    step = (((blue + red + 1) >> 1) + green + 1) >> 1
+    return np.where(a[3] & b[3], census + np.minimum(step, costs.colour_cap), NO_PAIR)
 
 
 BITS = np.array([bin(byte).count("1") for byte in range(256)], np.int32)
