@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from . import backends
-from .candidates import EIGHTHS, DisparityGrid
+from .candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
 from .many import UNITS, PairCosts, Penalties, VoteWeights
@@ -72,13 +72,13 @@ def see_past(
         better = []
         for k in range(K):
             with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                energy = backend.votes(costs[k], found, confidence, static[k], views[k], grid, k, VoteWeights.of(o))
+                energy = voted(costs[k], found, confidence, static[k], views[k], grid, k, VoteWeights.of(o), backend)
             with clock("aggregate"):
                 better.append(backend.aggregate(energy, colour[k], static[k], grid, first))
         found, confidence = confirmed(np.stack(better), colour, static, views, o, backend, clock)
 
     with clock("votes"):  # the wanted view, its own vote included
-        energy = backend.votes(wanted_costs, found, confidence, static[r], geometry, fine, -1, VoteWeights.of(o))
+        energy = voted(wanted_costs, found, confidence, static[r], geometry, fine, -1, VoteWeights.of(o), backend)
     with clock("aggregate"):
         d = backend.aggregate(energy, colour[r], static[r], fine, final)
     if o.planes:
@@ -103,6 +103,13 @@ def see_past(
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
+
+
+def voted(costs, found, confidence, static, view, grid, skip, weights, backend: ModuleType) -> np.ndarray:
+    """backend.votes on a dense volume [H, W, count]."""
+    rows = costs.reshape(-1, CHUNK)
+    candidates = Candidates.all(grid, static.shape)
+    return backend.votes(rows, found, confidence, static, view, candidates, skip, weights).reshape(costs.shape)
 
 
 def three_channels(colour: np.ndarray) -> np.ndarray:
