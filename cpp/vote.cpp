@@ -126,19 +126,30 @@ void vote_chunk(const Votes& votes, const VoteWeights& weights, const int16_t* _
   turn(tile, out);
 }
 
-// What a pixel of a block takes of a chunk: its column, and its row of the volume.
-struct Taker {
-  int column, row;
-};
-
-// out = energies + weight / 128 costs; may be in place.
+// The pixels of a block that have a chunk: asked -1, else 0; their rows of the volume move on to it.
 SEEPAST_CLONES
-void add_costs(const Taker* takers, int count, const uint8_t* energies, const uint8_t* costs, uint16_t weight,
-               uint8_t* out) {
-  for (int n = 0; n < count; ++n) {
+void ask(const uint64_t* __restrict active, int count, int chunk, int16_t* __restrict asked,
+         int32_t* __restrict row) {
+  for (int x = 0; x < count; ++x) {
+    const int has = static_cast<int>(active[x] >> chunk & 1);
+    asked[x] = static_cast<int16_t>(-has);
+    row[x] -= has;
+  }
+}
+
+// out = energies + weight / 128 costs of the pixels that have the chunk; may be in place. Asks the memory for
+// as many rows from `ahead` on, and returns where these end.
+SEEPAST_CLONES
+size_t add_costs(const int16_t* asked, const int32_t* row, int count, const uint8_t* energies,
+                 const uint8_t* costs, uint16_t weight, size_t ahead, uint8_t* out) {
+  for (int x = 0; x < count; ++x) {
+    if (!asked[x]) continue;
+    __builtin_prefetch(costs + ahead * kChunk);
+    __builtin_prefetch(out + ahead * kChunk, 1);
+    ++ahead;
     uint8_t cost[kChunk], sums[kChunk];
-    const uint8_t* energy = energies + takers[n].column * kChunk;
-    const size_t at = static_cast<size_t>(takers[n].row) * kChunk;
+    const uint8_t* energy = energies + x * kChunk;
+    const size_t at = static_cast<size_t>(row[x]) * kChunk;
     std::memcpy(cost, costs + at, kChunk);
     for (int i = 0; i < kChunk; ++i) {
       const uint16_t part = static_cast<uint16_t>(static_cast<uint16_t>(cost[i] * weight + 64) >> 7);
@@ -147,71 +158,88 @@ void add_costs(const Taker* takers, int count, const uint8_t* energies, const ui
     }
     std::memcpy(out + at, sums, kChunk);
   }
+  return ahead;
 }
 
-struct Range {
-  uint16_t low, high;
-};
-
+// Least disparity that has confidence, and the greatest in the upper 16 bits.
 SEEPAST_CLONES
-Range range_of(const uint16_t* disparity, const uint8_t* confidence, int count) {
+uint32_t range_of(const uint16_t* disparity, const uint8_t* confidence, int count) {
   uint16_t low = 0xffff, high = 0;
   for (int x = 0; x < count; ++x) {
-    const uint16_t least = confidence[x] ? disparity[x] : static_cast<uint16_t>(0xffff);
-    const uint16_t most = confidence[x] ? disparity[x] : static_cast<uint16_t>(0);
+    const uint16_t known = static_cast<uint16_t>(-static_cast<uint16_t>(confidence[x] != 0));
+    const uint16_t least = static_cast<uint16_t>(disparity[x] | static_cast<uint16_t>(~known));
+    const uint16_t most = disparity[x] & known;
     low = least < low ? least : low;
     high = most > high ? most : high;
   }
-  return {low, high};
+  return static_cast<uint32_t>(high) << 16 | low;
 }
 
-// Least and greatest disparity that has confidence, of every block of every row of all cameras.
+// The range of every two blocks of every row of all cameras.
 struct Ranges {
   Ranges(const Array& array, const uint16_t* disparities, const uint8_t* confidence)
       : blocks((array.width + kBlock - 1) / kBlock),
         all(static_cast<size_t>(array.cameras) * array.height * blocks) {
     const int rows = array.cameras * array.height;
 #pragma omp parallel for schedule(static)
-    for (int row = 0; row < rows; ++row) {
-      const size_t at = static_cast<size_t>(row) * array.width;
-      for (int b = 0; b < blocks; ++b)
+    for (int row = 0; row < rows; ++row)
+      for (int b = 0; b < blocks; ++b) {
+        const size_t at = static_cast<size_t>(row) * array.width + b * kBlock;
         all[static_cast<size_t>(row) * blocks + b] =
-            range_of(disparities + at + b * kBlock, confidence + at + b * kBlock,
-                     std::min(kBlock, array.width - b * kBlock));
-    }
-  }
-  // Of columns first .. first + kBlock - 1, and more.
-  Range around(int row, int first) const {
-    const Range* of_row = all.data() + static_cast<size_t>(row) * blocks;
-    const Range &a = of_row[first / kBlock], &b = of_row[std::min(first / kBlock + 1, blocks - 1)];
-    return {std::min(a.low, b.low), std::max(a.high, b.high)};
+            range_of(disparities + at, confidence + at, std::min(2 * kBlock, array.width - b * kBlock));
+      }
   }
   int blocks;
-  std::vector<Range> all;  // [K, H, blocks]
+  std::vector<uint32_t> all;  // [K, H, blocks]: of a block and the next one
 };
 
 // Where all candidates look: the same for every row.
 struct Aims {
   static constexpr int kMany = INT_MIN;
-  Aims(const Array& array, const Grid& grid) : blocks((array.width + kBlock - 1) / kBlock) {
+  Aims(const Array& array, const Grid& grid) : count(grid.count * array.cameras) {
     for (int i = 0; i < grid.count; ++i)
       for (int k = 0; k < array.cameras; ++k) {
         const RayShift shift = array.shift(k, grid.value(i));
         shifts.push_back(shift);
         expected.push_back(
             floor_int(grid.value(i) * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f));
-        for (int from = 0; from < array.width; from += kBlock) {
-          const int first = whole_offset(ray_dx(shift, from, array.cx));
-          const int last = whole_offset(ray_dx(shift, std::min(array.width, from + kBlock) - 1, array.cx));
-          offsets.push_back(first == last ? first : kMany);
-        }
+      }
+    for (int from = 0; from < array.width; from += kBlock)
+      for (const RayShift& shift : shifts) {
+        const int first = whole_offset(ray_dx(shift, from, array.cx));
+        const int last = whole_offset(ray_dx(shift, std::min(array.width, from + kBlock) - 1, array.cx));
+        offsets.push_back(first == last ? first : kMany);
       }
   }
-  int blocks;
+  int count;                     // of candidates and cameras
   std::vector<RayShift> shifts;  // [candidate][camera]
   std::vector<int> expected;     // likewise: what a view that agrees has there, 32nds of a pixel
-  std::vector<int> offsets;      // [candidate][camera][block] in columns, kMany where it changes
+  std::vector<int> offsets;      // [block][candidate][camera] in columns, kMany where it changes
 };
+
+// What becomes of a camera's vote on a candidate of a block.
+enum Verdict : int32_t { kNothing, kCounted, kThrough, kCopied };
+
+SEEPAST_CLONES
+void judge(const int32_t* __restrict rows, const int32_t* __restrict expected,
+           const int32_t* __restrict offsets, int count, int from, int width,
+           const uint32_t* __restrict ranges, int blocks, int32_t* __restrict verdicts) {
+  for (int n = 0; n < count; ++n) {
+    const int32_t many = -static_cast<int32_t>(offsets[n] == Aims::kMany), seen = expected[n];
+    const int32_t first = from + (offsets[n] & ~many), last = first + kBlock;
+    const int32_t outside = (rows[n] < 0) | (first >= width) | (last <= 0) | (seen <= -kUnits);
+    const uint32_t range = ranges[(rows[n] * blocks + (first > 0 ? first : 0) / kBlock) & (outside - 1)];
+    const int32_t low = static_cast<int32_t>(range & 0xffff), high = static_cast<int32_t>(range >> 16);
+    const int32_t empty = (low > high) | (low - seen >= kUnits);
+    const int32_t inside = (first >= 0) & (last <= width), fits = (seen >= 0) & (seen <= 0xffff);
+    const int32_t through = inside & (high - seen <= -kBeyond);
+    int32_t verdict = inside & fits ? kCounted : kCopied;
+    verdict = through ? static_cast<int32_t>(kThrough) : verdict;
+    verdict = empty ? static_cast<int32_t>(kNothing) : verdict;
+    verdict = many ? static_cast<int32_t>(kCopied) : verdict;
+    verdicts[n] = outside ? static_cast<int32_t>(kNothing) : verdict;
+  }
+}
 
 // All that the votes on any block need.
 struct Poll {
@@ -224,11 +252,20 @@ struct Poll {
   int skip;
 };
 
-// The votes on one block of pixels.
+// The votes on the blocks of one row of pixels.
 struct Ballot {
   explicit Ballot(const Poll& poll) : poll(poll), lag((16 + poll.grid.step - 1) / poll.grid.step) {
     seen.resize(static_cast<size_t>(kChunk) * poll.array.cameras * kBlock);
     sure.resize(seen.size());
+    rows.resize(poll.aims.count);
+  }
+
+  void start(int y) {
+    const Array& array = poll.array;
+    for (int n = 0, k = 0; n < poll.aims.count; ++n, k = k + 1 < array.cameras ? k + 1 : 0) {
+      const int row = y + whole_offset(ray_dy(poll.aims.shifts[n], y, array.cy));
+      rows[n] = row < 0 || row >= array.height || k == poll.skip ? -1 : k * array.height + row;
+    }
   }
 
   // Columns from .. to - 1 of row y.
@@ -236,110 +273,88 @@ struct Ballot {
              const VoteWeights& weights, uint8_t* out) {
     const size_t at = static_cast<size_t>(y) * poll.array.width + from;
     const int width = to - from;
-    int row[kBlock];  // of the volume: after the pixel's last one that is not done
-    uint64_t wanted = 0;
-    for (int x = 0; x < width; ++x) {
-      wanted |= chunks.active[at + x];
-      row[x] = chunks.start[at + x + 1];
-    }
-    const bool blind = std::any_of(is_static + at, is_static + at + width, [](uint8_t s) { return s == 0; });
+    const uint64_t* active = chunks.active + at;
+    alignas(64) int32_t row[kBlock];  // of the volume, the last that is done
+    std::copy_n(chunks.start + at + 1, width, row);
+    const bool blind = std::memchr(is_static + at, 0, static_cast<size_t>(width)) != nullptr;
     if (blind) {
       std::fill_n(hidden.nearer, kBlock, 0);
       std::fill_n(hidden.weight, kBlock, 0);
       for (int x = 0; x < width; ++x)
         hidden.weight[x] = is_static[at + x] ? static_cast<int16_t>(0) : static_cast<int16_t>(weights.hide);
     }
+    size_t ahead = static_cast<size_t>(chunks.start[at + width]);  // the next block
+    uint64_t wanted = 0;
+    for (int x = 0; x < width; ++x) wanted |= active[x];
     for (int before = -1; wanted;) {
       const int chunk = 63 - std::countl_zero(wanted);
       wanted ^= uint64_t{1} << chunk;
-      Taker takers[kBlock];
-      int count = 0;
-      alignas(64) int16_t asked[kBlock] = {};
-      for (int x = 0; x < width; ++x) {
-        const bool has = chunks.active[at + x] >> chunk & 1;
-        row[x] -= has;
-        asked[x] = static_cast<int16_t>(-has);
-        takers[count] = {x, row[x]};
-        count += has;
-      }
       if (blind && before > chunk + 1)  // the rest of what hides from there on
         for (int i = 0; i < lag; ++i) raise(hidden.nearer, hidden.margins[(before * kChunk + i) % kKept]);
-      collect(chunk, y, from, to);
+      alignas(64) int16_t asked[kBlock] = {};
       alignas(64) uint8_t energies[kBlock * kChunk];
+      ask(active, width, chunk, asked, row);
+      collect(chunk, from, to);
       vote_chunk(votes, weights, asked, chunk * kChunk, lag, before == chunk + 1, blind ? &hidden : nullptr,
                  energies);
-      add_costs(takers, count, energies, costs, static_cast<uint16_t>(weights.volume), out);
+      ahead =
+          add_costs(asked, row, width, energies, costs, static_cast<uint16_t>(weights.volume), ahead, out);
       before = chunk;
     }
   }
 
   // Looks for votes on the candidates of a chunk.
-  void collect(int chunk, int y, int from, int to) {
+  void collect(int chunk, int from, int to) {
+    const int cameras = poll.array.cameras, width = poll.array.width, count = kChunk * cameras;
+    const int *row = rows.data() + chunk * count, *expected = poll.aims.expected.data() + chunk * count;
+    const int* offset = poll.aims.offsets.data() + from / kBlock * poll.aims.count + chunk * count;
+    int32_t verdicts[kChunk * kMaxCameras];
+    judge(row, expected, offset, count, from, width, poll.ranges.all.data(), poll.ranges.blocks, verdicts);
     Vote* vote = votes.all;
-    for (int i = kChunk - 1; i >= 0; --i) {
+    for (int i = kChunk - 1, n = count - 1; i >= 0; --i) {
       const Vote* begin = vote;
-      for (int k = 0; k < poll.array.cameras; ++k)
-        if (k != poll.skip && look(chunk * kChunk + i, k, y, from, to, *vote)) ++vote;
+      for (int k = 0; k < cameras; ++k, --n) {
+        if (verdicts[n] == kNothing) continue;
+        const size_t line = static_cast<size_t>(row[n]) * width;
+        if (verdicts[n] == kCopied) {
+          *vote++ = copy(chunk * count + n, line, from, to);
+        } else {
+          const size_t at = line + from + offset[n];
+          *vote++ = {poll.disparities + at, poll.confidence + at, static_cast<uint16_t>(expected[n]),
+                     verdicts[n] == kThrough};
+        }
+      }
       votes.count[i] = static_cast<int>(vote - begin);
     }
   }
 
-  // What camera k sees on candidate i; false: nothing that counts.
-  bool look(int i, int k, int y, int from, int to, Vote& vote) {
-    const Array& array = poll.array;
-    const size_t n = static_cast<size_t>(i) * array.cameras + k;
-    const RayShift& shift = poll.aims.shifts[n];
-    const int row = y + whole_offset(ray_dy(shift, y, array.cy));
-    if (row < 0 || row >= array.height) return false;
-    const int expected = poll.aims.expected[n],
-              offset = poll.aims.offsets[n * poll.aims.blocks + from / kBlock];
-    // what lies beyond the 16 bits of a disparity is compared with moved disparities
-    const int moved = expected < 0 ? kUnits : expected > 0xffff ? -kBeyond : 0;
-    if (expected <= -kUnits) return false;
-    const size_t line = (static_cast<size_t>(k) * array.height + row) * array.width;
-    vote = {poll.disparities + line, poll.confidence + line, static_cast<uint16_t>(expected + moved), false};
-    if (offset != Aims::kMany) {
-      const int first = std::max(0, from + offset);
-      if (first >= array.width || from + offset + kBlock <= 0) return false;
-      const Range range = poll.ranges.around(k * array.height + row, first);
-      if (range.low > range.high || range.low - expected >= kUnits) return false;
-      vote.through = range.high - expected <= -kBeyond;
-      if (from + offset >= 0 && from + offset + kBlock <= array.width && (vote.through || !moved)) {
-        vote.disparity += from + offset;
-        vote.confidence += from + offset;
-        return true;
-      }
-    } else {
-      vote.through = expected >= 0xffff + kBeyond;
-    }
-    copy(shift, from, to, (static_cast<size_t>(i % kChunk) * array.cameras + k) * kBlock, moved, vote);
-    return true;
-  }
-
-  // Makes the vote's columns from .. to - 1 a block of their own, without confidence outside the image, and
-  // moves its disparities.
-  void copy(const RayShift& shift, int from, int to, size_t place, int moved, Vote& vote) {
-    const int width = poll.array.width;
+  // A vote whose columns from .. to - 1 are made a block of their own, without confidence outside the image.
+  // What is expected beyond the 16 bits of a disparity is moved, and all disparities with it.
+  Vote copy(int n, size_t line, int from, int to) {
+    const int expected = poll.aims.expected[n], width = poll.array.width;
+    const int by = expected < 0 ? kUnits : expected > 0xffff ? -kBeyond : 0;
+    const size_t place = static_cast<size_t>(n % (kChunk * poll.array.cameras)) * kBlock;
     uint16_t* disparity = seen.data() + place;
     uint8_t* confidence = sure.data() + place;
     std::fill_n(confidence, kBlock, 0);
     for_each_run(
-        from, to, [&](int x) { return whole_offset(ray_dx(shift, x, poll.array.cx)); },
+        from, to, [&](int x) { return whole_offset(ray_dx(poll.aims.shifts[n], x, poll.array.cx)); },
         [&](int first, int last, int offset) {
           first = std::max(first, -offset);
           last = std::min(last, width - offset);
           if (first >= last) return;
-          std::transform(vote.disparity + first + offset, vote.disparity + last + offset,
-                         disparity + first - from,
-                         [&](int d) { return static_cast<uint16_t>(clamp(d + moved, 0, 0xffff)); });
-          std::copy_n(vote.confidence + first + offset, last - first, confidence + first - from);
+          std::copy_n(poll.disparities + line + first + offset, last - first, disparity + first - from);
+          std::copy_n(poll.confidence + line + first + offset, last - first, confidence + first - from);
         });
-    vote.disparity = disparity;
-    vote.confidence = confidence;
+    if (by)
+      for (int x = 0; x < kBlock; ++x)
+        disparity[x] = static_cast<uint16_t>(clamp(disparity[x] + by, 0, 0xffff));
+    return {disparity, confidence, static_cast<uint16_t>(expected + by), expected >= 0xffff + kBeyond};
   }
 
   const Poll& poll;
-  int lag;  // candidates to the first that hides, 2 px nearer
+  int lag;                // candidates to the first that hides, 2 px nearer
+  std::vector<int> rows;  // [candidate][camera]: k H + y where it looks, -1 for nowhere
   Votes votes;
   Hidden hidden;
   std::vector<uint16_t> seen;  // copies of what lies across an edge of the image or of a run
@@ -358,9 +373,11 @@ void votes(const Array& array, const uint8_t* costs, const uint16_t* disparities
   {
     Ballot ballot(poll);
 #pragma omp for schedule(dynamic, 4)
-    for (int y = 0; y < array.height; ++y)
+    for (int y = 0; y < array.height; ++y) {
+      ballot.start(y);
       for (int from = 0; from < array.width; from += kBlock)
         ballot.block(y, from, std::min(array.width, from + kBlock), costs, is_static, chunks, weights, out);
+    }
   }
 }
 
