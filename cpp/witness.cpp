@@ -1,4 +1,5 @@
 // What the views say about a view's disparities: witnesses, their confidence, and the labels of its rays.
+#include <algorithm>
 #include <cstdlib>
 #include <vector>
 
@@ -7,66 +8,65 @@
 namespace seepast {
 namespace {
 
+constexpr int kLanes = 64;  // rows are rounded up to these, so that no loop over them has a remainder
+constexpr int32_t kOutside = -(1 << 29);  // expected: no disparity agrees with it, and none is farther
+
 // One row's rays into one camera.
 struct Landing {
-  explicit Landing(int width) : at(width), expected(width), seen(width), there(width) {}
-  std::vector<int32_t> at, expected;  // a pixel of the camera, 0 outside; the disparity expected there
-  std::vector<uint16_t> seen;         // the disparity found there
-  std::vector<uint8_t> there;         // 1 where the ray lands on a static pixel
+  explicit Landing(int width)
+      : count((width + kLanes - 1) / kLanes * kLanes), d(count), at(count), expected(count), seen(count) {}
+  int count;
+  std::vector<uint16_t> d;
+  std::vector<int32_t> at,
+      expected;                // a pixel of the camera; the disparity expected there, kOutside beyond it
+  std::vector<uint32_t> seen;  // the disparity found there, and above 16 bits what is static
 };
 
 SEEPAST_CLONES
-void land(const Array& array, int k, int y, const uint16_t* __restrict d, int32_t* __restrict at,
-          int32_t* __restrict expected, uint8_t* __restrict there) {
-  const float* o = array.offsets + kOffsets * k;
-  const float offset[kOffsets] = {o[0], o[1], o[2], o[3], o[4]};
-  const float cx = array.cx, cy = array.cy;
-  const int width = array.width, height = array.height;
-  for (int x = 0; x < width; ++x) {
+void land(const uint16_t* __restrict d, int count, int y, int width, int height, float ax, float ay, float az,
+          float sx, float sy, float cx, float cy, int32_t* __restrict at, int32_t* __restrict expected) {
+  const float offset[kOffsets] = {ax, ay, az, sx, sy};
+  for (int x = 0; x < count; ++x) {
     const float units = static_cast<float>(d[x]);
     const RayShift shift = ray_shift(offset, units / static_cast<float>(kUnits));
     const int column = x + whole_offset(ray_dx(shift, x, cx)), row = y + whole_offset(ray_dy(shift, y, cy));
-    const bool inside = (column >= 0) & (column < width) & (row >= 0) & (row < height);
-    at[x] = inside ? row * width + column : 0;
-    there[x] = inside;
-    expected[x] = floor_int(units * (shift.zoom + 1.0f) + 0.5f);
+    const int inside = -((column >= 0) & (column < width) & (row >= 0) & (row < height));
+    at[x] = (row * width + column) & inside;
+    expected[x] = (floor_int(units * (shift.zoom + 1.0f) + 0.5f) & inside) | (kOutside & ~inside);
   }
 }
 
-// Looks there: disparities uint16, is_static uint8 [H, W] of the camera.
-void look(const Array& array, int k, int y, const uint16_t* d, const uint16_t* disparities,
-          const uint8_t* is_static, Landing& landing) {
-  land(array, k, y, d, landing.at.data(), landing.expected.data(), landing.there.data());
+// Looks what camera k sees of the landing's d; disparities uint16, is_static uint8 [K, H, W].
+void look(const Array& array, int k, int y, const uint16_t* disparities, const uint8_t* is_static,
+          Landing& landing) {
+  const float* o = array.offsets + kOffsets * k;
+  land(landing.d.data(), landing.count, y, array.width, array.height, o[0], o[1], o[2], o[3], o[4], array.cx,
+       array.cy, landing.at.data(), landing.expected.data());
   const uint16_t* view = disparities + k * array.pixels();
   const uint8_t* open = is_static + k * array.pixels();
   const int32_t* at = landing.at.data();
-  uint16_t* seen = landing.seen.data();
-  uint8_t* there = landing.there.data();
-  for (int x = 0; x < array.width; ++x) {
-    seen[x] = view[at[x]];
-    there[x] &= static_cast<uint8_t>(open[at[x]] != 0);
+  uint32_t* seen = landing.seen.data();
+  for (int x = 0; x < landing.count; x += 4)
+    for (int i = x; i < x + 4; ++i) seen[i] = view[at[i]] | static_cast<uint32_t>(open[at[i]]) << 16;
+}
+
+SEEPAST_CLONES
+void count_witnesses(const uint32_t* __restrict seen, const int32_t* __restrict expected, int count,
+                     int tolerance, uint8_t* __restrict agree, uint8_t* __restrict farther) {
+  for (int x = 0; x < count; ++x) {
+    const int e = static_cast<int>(seen[x] & 0xffff) - expected[x];
+    const uint8_t open = seen[x] > 0xffff, same = std::abs(e) <= tolerance, beyond = e < -tolerance;
+    agree[x] = static_cast<uint8_t>(agree[x] + (open & same));
+    farther[x] = static_cast<uint8_t>(farther[x] | (open & beyond));
   }
 }
 
 SEEPAST_CLONES
-void count_witnesses(const uint16_t* __restrict seen, const uint8_t* __restrict there,
-                     const int32_t* __restrict expected, int count, int tolerance, uint8_t* __restrict agree,
-                     uint8_t* __restrict farther) {
+void add_labels(const uint32_t* __restrict seen, const int32_t* __restrict expected, int count, int tolerance,
+                uint16_t bit, uint16_t* __restrict shown, uint16_t* __restrict passing) {
   for (int x = 0; x < count; ++x) {
-    const int e = seen[x] - expected[x];
-    const uint8_t same = std::abs(e) <= tolerance, beyond = e < -tolerance;
-    agree[x] = static_cast<uint8_t>(agree[x] + (there[x] & same));
-    farther[x] = static_cast<uint8_t>(farther[x] | (there[x] & beyond));
-  }
-}
-
-SEEPAST_CLONES
-void add_labels(const uint16_t* __restrict seen, const uint8_t* __restrict there,
-                const int32_t* __restrict expected, int count, int tolerance, uint16_t bit,
-                uint16_t* __restrict shown, uint16_t* __restrict passing) {
-  for (int x = 0; x < count; ++x) {
-    const int e = seen[x] - expected[x];
-    const uint16_t open = there[x] ? bit : static_cast<uint16_t>(0);
+    const int e = static_cast<int>(seen[x] & 0xffff) - expected[x];
+    const uint16_t open = (seen[x] > 0xffff) & (expected[x] != kOutside) ? bit : static_cast<uint16_t>(0);
     const uint16_t same = std::abs(e) <= tolerance ? open : static_cast<uint16_t>(0);
     passing[x] = static_cast<uint16_t>(passing[x] | open);
     shown[x] = static_cast<uint16_t>(shown[x] | same);
@@ -91,17 +91,21 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
 #pragma omp parallel
   {
     Landing landing(array.width);
+    std::vector<uint8_t> same(landing.count), beyond(landing.count);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      std::fill_n(agree + row, array.width, 0);
-      std::fill_n(farther + row, array.width, 0);
+      std::copy_n(d + row, array.width, landing.d.data());
+      std::fill(same.begin(), same.end(), 0);
+      std::fill(beyond.begin(), beyond.end(), 0);
       for (int k = 0; k < array.cameras; ++k) {
         if (k == skip) continue;
-        look(array, k, y, d + row, disparities, is_static, landing);
-        count_witnesses(landing.seen.data(), landing.there.data(), landing.expected.data(), array.width,
-                        tolerance, agree + row, farther + row);
+        look(array, k, y, disparities, is_static, landing);
+        count_witnesses(landing.seen.data(), landing.expected.data(), landing.count, tolerance, same.data(),
+                        beyond.data());
       }
+      std::copy_n(same.data(), array.width, agree + row);
+      std::copy_n(beyond.data(), array.width, farther + row);
     }
   }
 }
@@ -111,17 +115,21 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 #pragma omp parallel
   {
     Landing landing(array.width);
+    std::vector<uint16_t> same(landing.count), open(landing.count);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      std::fill_n(shown + row, array.width, 0);
-      std::fill_n(passing + row, array.width, 0);
+      std::copy_n(d + row, array.width, landing.d.data());
+      std::fill(same.begin(), same.end(), 0);
+      std::fill(open.begin(), open.end(), 0);
       for (int k = 0; k < array.cameras; ++k) {
-        look(array, k, y, d + row, disparities, is_static, landing);
-        add_labels(landing.seen.data(), landing.there.data(), landing.expected.data(), array.width,
-                   k == reference ? 1 << 30 : tolerance, static_cast<uint16_t>(1 << k), shown + row,
-                   passing + row);
+        look(array, k, y, disparities, is_static, landing);
+        add_labels(landing.seen.data(), landing.expected.data(), landing.count,
+                   k == reference ? 1 << 30 : tolerance, static_cast<uint16_t>(1 << k), same.data(),
+                   open.data());
       }
+      std::copy_n(same.data(), array.width, shown + row);
+      std::copy_n(open.data(), array.width, passing + row);
     }
   }
 }
