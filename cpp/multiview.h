@@ -97,9 +97,10 @@ struct PlaneParams {
 void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, const uint8_t* wanted,
             const uint8_t* image, const uint8_t* is_static, const PlaneParams& params, uint16_t* out);
 
-// clear float [K, H, W], near float [K].
-void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays, const float* clear,
-           const float* near, const uint16_t* d, const uint8_t* wanted, uint8_t* background);
+// clear uint8 [K, H, W], 0: such pixels weigh `edge`; near float [K].
+void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,
+           const uint8_t* clear, const float* near, float edge, const uint16_t* d, const uint8_t* wanted,
+           uint8_t* background);
 
 // Calls use(first, last, offset) for the runs of columns in [from, to) that have the same rounded offset,
 // which must be monotonic in x.

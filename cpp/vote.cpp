@@ -276,7 +276,7 @@ struct Ballot {
     const uint64_t* active = chunks.active + at;
     alignas(64) int32_t row[kBlock];  // of the volume, the last that is done
     std::copy_n(chunks.start + at + 1, width, row);
-    const bool blind = std::memchr(is_static + at, 0, static_cast<size_t>(width)) != nullptr;
+    const bool blind = std::find(is_static + at, is_static + at + width, 0) != is_static + at + width;
     if (blind) {
       std::fill_n(hidden.nearer, kBlock, 0);
       std::fill_n(hidden.weight, kBlock, 0);

@@ -189,12 +189,11 @@ def test_planes(name):
 def test_blend(name):
     c = case(name)
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
-    clear = multiview.edge_weights(c.static, OPTIONS.multiview)
+    clear = multiview.clear_of_masks(c.static)
     for k in c.some_views:
         near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
-        assert_same(
-            *(b.blend(c.colour, rays, clear, near, c.views[k], c.disparities[k], c.choice[0]) for b in (reference, cpu))
-        )
+        given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
+        assert_same(*(b.blend(c.colour, *given) for b in (reference, cpu)))
 
 
 @pytest.mark.parametrize(

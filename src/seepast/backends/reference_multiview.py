@@ -432,14 +432,15 @@ def blend(
     rays: np.ndarray,
     clear: np.ndarray,
     near: np.ndarray,
+    edge: float,
     geometry: ArrayGeometry,
     disparity: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
     """Weighted mean of the rays' colours, cubic samples at x^k: uint8 [H, W, 3], the view's own where not wanted.
 
-    rays uint16 [H, W]; clear float32 [K, H, W]: weight of camera k's own pixels, small beside masks; near float32
-    [K]: weight of cameras, which falls with their distance, since blending far views blurs. 0 without any ray.
+    rays uint16 [H, W]; clear bool [K, H, W]: pixels of camera k that are not beside a mask: those weigh `edge`; near
+    float32 [K]: weight of cameras, which falls with their distance, since blending far views blurs. 0 without any ray.
     """
     height, width = rays.shape
     y, x = np.mgrid[:height, :width].astype(np.int32)
@@ -450,7 +451,8 @@ def blend(
         half = np.float32(0.5)
         column = (x + np.floor(dx + half).astype(np.int32)).clip(0, width - 1)
         row = (y + np.floor(dy + half).astype(np.int32)).clip(0, height - 1)
-        w = np.where(used, clear[k, row, column] * near[k], np.float32(0))
+        w = np.where(clear[k, row, column], np.float32(1), np.float32(edge)) * near[k]
+        w = np.where(used, w, np.float32(0))
         total += w[..., None] * bicubic(colour[k], x, y, dx, dy)
         weights += w
     mean = total / np.where(weights > 0, weights, np.float32(1))[..., None]
