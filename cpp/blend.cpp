@@ -22,8 +22,26 @@ void cubic_weights(float t, float* w) {
 constexpr int kTaps = 4;
 // Of four rows, four bytes of one of their pixels each: three are colours.
 typedef uint8_t Bytes __attribute__((vector_size(16)));
-typedef int32_t Longs __attribute__((vector_size(64)));
-typedef float Floats __attribute__((vector_size(64)));
+typedef uint16_t Words __attribute__((vector_size(16)));
+typedef int32_t Longs __attribute__((vector_size(16)));
+typedef float Floats __attribute__((vector_size(16)));
+
+// The colours of the four rows. Spelt out, since compilers make a bad job of converting all at once.
+inline void spread(const Bytes& bytes, Floats* rows) {
+  static_assert(std::endian::native == std::endian::little);
+  const Bytes none = {};
+  const Bytes low =
+      __builtin_shufflevector(bytes, none, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+  const Bytes high =
+      __builtin_shufflevector(bytes, none, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+  const Words pair[2] = {reinterpret_cast<Words>(low), reinterpret_cast<Words>(high)}, zero = {};
+  for (int j = 0; j < 2; ++j) {
+    const Words first = __builtin_shufflevector(pair[j], zero, 0, 8, 1, 9, 2, 10, 3, 11);
+    const Words second = __builtin_shufflevector(pair[j], zero, 4, 12, 5, 13, 6, 14, 7, 15);
+    rows[2 * j] = __builtin_convertvector(reinterpret_cast<Longs>(first), Floats);
+    rows[2 * j + 1] = __builtin_convertvector(reinterpret_cast<Longs>(second), Floats);
+  }
+}
 
 // image [H, W, 3] at (x + dx, y + dy), edges continued.
 void bicubic(const Array& array, const uint8_t* image, int x, int y, float dx, float dy, float* out) {
@@ -32,24 +50,26 @@ void bicubic(const Array& array, const uint8_t* image, int x, int y, float dx, f
   cubic_weights(dx - static_cast<float>(left), wx);
   cubic_weights(dy - static_cast<float>(top), wy);
   const bool inside = first >= 0 && first + kTaps < array.width;  // and a byte beyond the last colour
-  Bytes taps[kTaps] = {};
+  alignas(16) uint32_t taps[kTaps][kTaps] = {};                   // [column][row]: the pixel's colours
   for (int j = 0; j < kTaps; ++j) {
     const size_t line = static_cast<size_t>(clamp(y + top + j - 1, 0, array.height - 1)) * array.width;
-    for (int i = 0; i < kTaps; ++i) {
-      uint8_t* to = reinterpret_cast<uint8_t*>(&taps[i]) + 4 * j;
+    for (int i = 0; i < kTaps; ++i)
       if (inside)
-        std::memcpy(to, image + 3 * (line + first + i), 4);
+        std::memcpy(&taps[i][j], image + 3 * (line + first + i), 4);
       else
-        std::memcpy(to, image + 3 * (line + clamp(first + i, 0, array.width - 1)), 3);
-    }
+        std::memcpy(&taps[i][j], image + 3 * (line + clamp(first + i, 0, array.width - 1)), 3);
   }
-  Floats lines = {};
-  for (int i = 0; i < kTaps; ++i)
-    lines += wx[i] * __builtin_convertvector(__builtin_convertvector(taps[i], Longs), Floats);
-  for (int c = 0; c < 3; ++c) {
-    out[c] = 0.0f;
-    for (int j = 0; j < kTaps; ++j) out[c] += wy[j] * lines[4 * j + c];
+  Floats line[kTaps] = {};
+  for (int i = 0; i < kTaps; ++i) {
+    Bytes bytes;
+    std::memcpy(&bytes, taps[i], sizeof bytes);
+    Floats rows[kTaps];
+    spread(bytes, rows);
+    for (int j = 0; j < kTaps; ++j) line[j] += wx[i] * rows[j];
   }
+  Floats total = {};
+  for (int j = 0; j < kTaps; ++j) total += wy[j] * line[j];
+  for (int c = 0; c < 3; ++c) out[c] = total[c];
 }
 
 }  // namespace
