@@ -196,11 +196,15 @@ struct Ranges {
 // Where all candidates look: the same for every row.
 struct Aims {
   static constexpr int kMany = INT_MIN;
-  Aims(const Array& array, const Grid& grid) : count(grid.count * array.cameras) {
+  Aims(const Array& array, const Grid& grid, int skip) : count(grid.count * array.cameras) {
     for (int i = 0; i < grid.count; ++i)
       for (int k = 0; k < array.cameras; ++k) {
         const RayShift shift = array.shift(k, grid.value(i));
         shifts.push_back(shift);
+        zoom.push_back(shift.zoom);
+        down.push_back(shift.y);
+        view.push_back(shift.view_y);
+        top.push_back(k == skip ? -1 : k * array.height);
         expected.push_back(
             floor_int(grid.value(i) * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f));
       }
@@ -211,10 +215,12 @@ struct Aims {
         offsets.push_back(first == last ? first : kMany);
       }
   }
-  int count;                     // of candidates and cameras
-  std::vector<RayShift> shifts;  // [candidate][camera]
-  std::vector<int> expected;     // likewise: what a view that agrees has there, 32nds of a pixel
-  std::vector<int> offsets;      // [block][candidate][camera] in columns, kMany where it changes
+  int count;                            // of candidates and cameras
+  std::vector<RayShift> shifts;         // [candidate][camera]
+  std::vector<float> zoom, down, view;  // of the shifts, for rows
+  std::vector<int32_t> top;             // k H, -1 for the camera left out
+  std::vector<int> expected;            // likewise: what a view that agrees has there, 32nds of a pixel
+  std::vector<int> offsets;             // [block][candidate][camera] in columns, kMany where it changes
 };
 
 // What becomes of a camera's vote on a candidate of a block.
@@ -241,6 +247,20 @@ void judge(const int32_t* __restrict rows, const int32_t* __restrict expected,
   }
 }
 
+// Rows of the cameras' images one below the other, that all rays of row y end in; -1 outside, and of the
+// camera left out.
+SEEPAST_CLONES
+void find_rows(const float* __restrict zoom, const float* __restrict down, const float* __restrict view,
+               const int32_t* __restrict top, int count, int y, float cy, int height,
+               int32_t* __restrict rows) {
+  for (int n = 0; n < count; ++n) {
+    const RayShift shift{zoom[n], 0.0f, down[n], 0.0f, view[n]};
+    const int32_t row = y + whole_offset(ray_dy(shift, y, cy));
+    const int32_t inside = -((row >= 0) & (row < height) & (top[n] >= 0));
+    rows[n] = ((top[n] + row) & inside) | ~inside;
+  }
+}
+
 // All that the votes on any block need.
 struct Poll {
   const Array& array;
@@ -249,7 +269,6 @@ struct Poll {
   const uint8_t* confidence;
   const Aims& aims;
   const Ranges& ranges;
-  int skip;
 };
 
 // The votes on the blocks of one row of pixels.
@@ -262,10 +281,9 @@ struct Ballot {
 
   void start(int y) {
     const Array& array = poll.array;
-    for (int n = 0, k = 0; n < poll.aims.count; ++n, k = k + 1 < array.cameras ? k + 1 : 0) {
-      const int row = y + whole_offset(ray_dy(poll.aims.shifts[n], y, array.cy));
-      rows[n] = row < 0 || row >= array.height || k == poll.skip ? -1 : k * array.height + row;
-    }
+    const Aims& aims = poll.aims;
+    find_rows(aims.zoom.data(), aims.down.data(), aims.view.data(), aims.top.data(), aims.count, y, array.cy,
+              array.height, rows.data());
   }
 
   // Columns from .. to - 1 of row y.
@@ -366,9 +384,9 @@ struct Ballot {
 void votes(const Array& array, const uint8_t* costs, const uint16_t* disparities, const uint8_t* confidence,
            const uint8_t* is_static, const Grid& grid, const Chunks& chunks, int skip,
            const VoteWeights& weights, uint8_t* out) {
-  const Aims aims(array, grid);
+  const Aims aims(array, grid, skip);
   const Ranges ranges(array, disparities, confidence);
-  const Poll poll{array, grid, disparities, confidence, aims, ranges, skip};
+  const Poll poll{array, grid, disparities, confidence, aims, ranges};
 #pragma omp parallel
   {
     Ballot ballot(poll);
