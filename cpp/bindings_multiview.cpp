@@ -108,13 +108,22 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "confidence_of",
+      [](In<uint8_t, 2> agree, In<uint8_t, 2> farther, In<uint8_t, 2> is_static, uint8_t confident,
+         uint8_t lone, uint8_t doubtful, Out<uint8_t, 2> out) {
+        confidence_of(agree.data(), farther.data(), is_static.data(), agree.size(),
+                      Grades{confident, lone, doubtful}, out.data());
+      },
+      free_lock);
+
+  m.def(
       "votes",
-      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 3> costs, In<uint16_t, 3> disparities,
-         In<uint8_t, 3> confidence, In<uint8_t, 2> is_static, const Grid& grid, int skip, int base, int gain,
-         int hide, int volume, Out<uint8_t, 3> out) {
-        const Array array = array_of(offsets, cx, cy, out.shape(0), out.shape(1));
-        votes(array, costs.data(), disparities.data(), confidence.data(), is_static.data(), grid, skip,
-              VoteWeights{base, gain, hide, volume}, out.data());
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> costs, In<uint16_t, 3> disparities,
+         In<uint8_t, 3> confidence, In<uint8_t, 2> is_static, const Grid& grid, In<uint64_t, 2> active,
+         In<int32_t, 1> start, int skip, int base, int gain, int hide, int volume, Out<uint8_t, 2> out) {
+        const Array array = array_of(offsets, cx, cy, is_static.shape(0), is_static.shape(1));
+        votes(array, costs.data(), disparities.data(), confidence.data(), is_static.data(), grid,
+              Chunks{active.data(), start.data()}, skip, VoteWeights{base, gain, hide, volume}, out.data());
       },
       free_lock);
 
@@ -132,10 +141,10 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "blend",
       [](In<float, 2> offsets, float cx, float cy, int reference, In<uint8_t, 4> colour, In<uint16_t, 2> rays,
-         In<float, 3> clear, In<float, 1> near, In<uint16_t, 2> d, In<uint8_t, 2> wanted,
+         In<uint8_t, 3> clear, In<float, 1> near, float edge, In<uint16_t, 2> d, In<uint8_t, 2> wanted,
          Out<uint8_t, 3> background) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
-        blend(array, reference, colour.data(), rays.data(), clear.data(), near.data(), d.data(),
+        blend(array, reference, colour.data(), rays.data(), clear.data(), near.data(), edge, d.data(),
               wanted.data(), background.data());
       },
       free_lock);

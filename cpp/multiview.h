@@ -77,19 +77,33 @@ struct Penalties {
 void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
                const Grid& grid, const Penalties& penalties, uint16_t* scratch, uint16_t* out);
 
+// What of the grid every pixel is matched at (candidates.py Candidates).
+constexpr int kChunk = 16;
+struct Chunks {
+  const uint64_t* active;  // [H, W]
+  const int32_t* start;    // [H W + 1]
+};
+
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
                int skip, int tolerance, uint8_t* agree, uint8_t* farther);
 void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
             const uint8_t* is_static, int tolerance, uint16_t* shown, uint16_t* passing);
 
+struct Grades {
+  uint8_t confident, lone, doubtful;  // in 20ths
+};
+void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* is_static, size_t count,
+                   const Grades& grades, uint8_t* out);
+
 struct VoteWeights {
   int base, gain, hide, volume;
 };
-// confidence uint8 [K, H, W] in 20ths; is_static uint8 [H, W] of the view. out uint8 [H, W, count], may be
-// `costs`.
+// confidence uint8 [K, H, W] in 20ths; is_static uint8 [H, W] of the view. costs uint8 [n, kChunk]; out
+// likewise, may be `costs`.
 void votes(const Array& array, const uint8_t* costs, const uint16_t* disparities, const uint8_t* confidence,
-           const uint8_t* is_static, const Grid& grid, int skip, const VoteWeights& weights, uint8_t* out);
+           const uint8_t* is_static, const Grid& grid, const Chunks& chunks, int skip,
+           const VoteWeights& weights, uint8_t* out);
 
 struct PlaneParams {
   int radius, stride, gate;
@@ -100,9 +114,10 @@ struct PlaneParams {
 void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, const uint8_t* wanted,
             const uint8_t* image, const uint8_t* is_static, const PlaneParams& params, uint16_t* out);
 
-// clear float [K, H, W], near float [K].
-void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays, const float* clear,
-           const float* near, const uint16_t* d, const uint8_t* wanted, uint8_t* background);
+// clear uint8 [K, H, W], 0: such pixels weigh `edge`; near float [K].
+void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,
+           const uint8_t* clear, const float* near, float edge, const uint16_t* d, const uint8_t* wanted,
+           uint8_t* background);
 
 // Calls use(first, last, offset) for the runs of columns in [from, to) that have the same rounded offset,
 // which must be monotonic in x.

@@ -1,6 +1,6 @@
 // Completion of unconfirmed disparities: reference_multiview.planes.
 //
-// Blocks of columns that hold a wanted pixel are fitted together, neighbour by neighbour, so that the sums
+// Sixteen columns from a wanted pixel on are fitted together, neighbour by neighbour, so that the sums
 // vectorise.
 #include <algorithm>
 #include <cmath>
@@ -12,33 +12,48 @@
 namespace seepast {
 namespace {
 
-constexpr int kFitted = 32;  // columns at once
+constexpr int kFitted = 16;  // columns at once
 
-// A view in separate planes with an empty margin, so that no neighbour needs a test.
+constexpr float kUntrusted = 1e9f;  // a disparity beyond every gate
+
+SEEPAST_CLONES
+void fill_row(const uint16_t* __restrict disparity, const uint8_t* __restrict image,
+              const uint8_t* __restrict trusted, int count, float* __restrict trust, float* __restrict b,
+              float* __restrict g, float* __restrict r) {
+  for (int x = 0; x < count; ++x) {
+    b[x] = image[3 * x];
+    g[x] = image[3 * x + 1];
+    r[x] = image[3 * x + 2];
+  }
+  for (int x = 0; x < count; ++x) {
+    const float d = disparity[x];
+    trust[x] = trusted[x] ? d : kUntrusted;
+  }
+}
+
+// A view in separate planes of one type with an empty margin, so that no neighbour needs a test.
 struct Padded {
-  Padded(int height, int width, int margin, const uint16_t* disparity, const uint8_t* image,
-         const uint8_t* trust)
-      : margin(margin), stride(width + 2 * margin + kFitted) {
-    const size_t size = static_cast<size_t>(stride) * (height + 2 * margin);
-    d.resize(size);
-    for (auto& c : colour) c.resize(size);
-    trusted.resize(size);
+  void fill(int height, int width, int radius, const uint16_t* disparity, const uint8_t* image,
+            const uint8_t* trusted) {
+    const int wide = width + 2 * radius + kFitted;
+    const size_t size = static_cast<size_t>(wide) * (height + 2 * radius);
+    if (size != trust.size() || wide != stride || radius != margin) {
+      margin = radius;
+      stride = wide;
+      trust.assign(size, kUntrusted);
+      for (auto& c : colour) c.assign(size, 0.0f);
+    }
 #pragma omp parallel for schedule(static)
     for (int y = 0; y < height; ++y) {
       const size_t from = static_cast<size_t>(y) * width, to = at(y, 0);
-      for (int x = 0; x < width; ++x) {
-        d[to + x] = disparity[from + x];
-        trusted[to + x] = trust[from + x];
-        for (int c = 0; c < 3; ++c) colour[c][to + x] = image[3 * (from + x) + c];
-      }
+      fill_row(disparity + from, image + 3 * from, trusted + from, width, trust.data() + to,
+               colour[0].data() + to, colour[1].data() + to, colour[2].data() + to);
     }
   }
   size_t at(int y, int x) const { return static_cast<size_t>(y + margin) * stride + x + margin; }
 
-  int margin, stride;
-  std::vector<int32_t> d;
-  std::vector<int16_t> colour[3];
-  std::vector<uint8_t> trusted;
+  int margin = 0, stride = 0;
+  std::vector<float> trust, colour[3];  // disparity of the trusted pixels; B, G, R
 };
 
 struct Sums {
@@ -46,26 +61,40 @@ struct Sums {
       ey[kFitted];
 };
 
+// The pixels that are fitted together.
+struct Pixels {
+  const float *trust, *b, *g, *r;
+  float d[kFitted];
+  float coloured[kFitted];  // 0 where the colour says nothing, else 1 / 256
+  bool plain;               // it does so everywhere
+};
+
 // Adds the neighbours of one line of offsets, `j` below, to the sums.
-SEEPAST_CLONES
-void add_line(const int32_t* d, const int16_t* b, const int16_t* g, const int16_t* r, const uint8_t* trusted,
-              const float* flat, ptrdiff_t line, int j, const PlaneParams& params, const float* nearness,
-              Sums& sums) {
+template <bool kPlain>
+inline __attribute__((always_inline)) void add_line(const Pixels& pixels, ptrdiff_t line, int j,
+                                                    const PlaneParams& params, const float* nearness,
+                                                    Sums& sums) {
   float w_[kFitted] = {}, x_[kFitted] = {}, xx_[kFitted] = {}, e_[kFitted] = {}, ex_[kFitted] = {};
+  const float gate = static_cast<float>(params.gate);
+  const float* __restrict b = pixels.b, * __restrict g = pixels.g, * __restrict r = pixels.r;
   for (int i = -params.radius, n = 0; i <= params.radius; i += params.stride, ++n) {
     const ptrdiff_t to = line + i;
     const float fi = static_cast<float>(i), near = nearness[n];
+#pragma GCC unroll 1
     for (int x = 0; x < kFitted; ++x) {
-      const int32_t e = d[to + x] - d[x];
-      const int step = std::abs(b[to + x] - b[x]) + std::abs(g[to + x] - g[x]) + std::abs(r[to + x] - r[x]);
-      float t = 1.0f - static_cast<float>(step < 256 ? step : 256) * (1.0f / 256.0f);
-      t = t * t;
-      t = t * t;
-      t = t * t;
-      const float likeness = flat[x] > 0.0f ? 1.0f : t;
-      const bool usable = (trusted[to + x] != 0) & (std::abs(e) <= params.gate);
-      const float weight = usable ? likeness * near : 0.0f;
-      const float we = weight * static_cast<float>(e), wi = weight * fi;
+      const float e = pixels.trust[to + x] - pixels.d[x];
+      float weight = near;
+      if (!kPlain) {
+        const float step =
+            std::fabs(b[to + x] - b[x]) + std::fabs(g[to + x] - g[x]) + std::fabs(r[to + x] - r[x]);
+        float t = 1.0f - (step < 256.0f ? step : 256.0f) * pixels.coloured[x];
+        t = t * t;
+        t = t * t;
+        t = t * t;
+        weight = t * near;
+      }
+      weight = std::fabs(e) <= gate ? weight : 0.0f;
+      const float we = weight * e, wi = weight * fi;
       w_[x] += weight;
       x_[x] += wi;
       xx_[x] += wi * fi;
@@ -74,6 +103,7 @@ void add_line(const int32_t* d, const int16_t* b, const int16_t* g, const int16_
     }
   }
   const float fj = static_cast<float>(j), fjj = static_cast<float>(j * j);
+#pragma GCC unroll 1
   for (int x = 0; x < kFitted; ++x) {
     sums.w[x] += w_[x];
     sums.x[x] += x_[x];
@@ -84,6 +114,18 @@ void add_line(const int32_t* d, const int16_t* b, const int16_t* g, const int16_
     sums.yy[x] += w_[x] * fjj;
     sums.xy[x] += x_[x] * fj;
     sums.ey[x] += e_[x] * fj;
+  }
+}
+
+// Sums over all neighbours of the pixels; `stride` of the padded planes.
+SEEPAST_CLONES
+void add_neighbours(const Pixels& pixels, ptrdiff_t stride, const PlaneParams& params, Sums& sums) {
+  const int taps = 2 * params.radius / params.stride + 1;
+  for (int j = -params.radius, n = 0; j <= params.radius; j += params.stride, ++n) {
+    if (pixels.plain)
+      add_line<true>(pixels, j * stride, j, params, params.nearness + n * taps, sums);
+    else
+      add_line<false>(pixels, j * stride, j, params, params.nearness + n * taps, sums);
   }
 }
 
@@ -102,23 +144,34 @@ double plane_height(const Sums& sums, int n, double ridge) {
 
 void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, const uint8_t* wanted,
             const uint8_t* image, const uint8_t* is_static, const PlaneParams& params, uint16_t* out) {
-  const Padded view(height, width, params.radius, d, image, trusted);
-  const int taps = 2 * params.radius / params.stride + 1;
+  thread_local Padded view;  // the same memory for every call of a thread
+  view.fill(height, width, params.radius, d, image, trusted);
+  const Padded& padded = view;
 #pragma omp parallel for schedule(dynamic, 4)
   for (int y = 0; y < height; ++y) {
     const size_t row = static_cast<size_t>(y) * width;
     std::copy_n(d + row, width, out + row);
     for (int from = 0; from < width; from += kFitted) {
+      from = static_cast<int>(
+          std::find_if(wanted + row + from, wanted + row + width, [](uint8_t w) { return w != 0; }) - wanted -
+          row);
+      if (from == width) break;
       const int to = std::min(width, from + kFitted);
-      if (std::none_of(wanted + row + from, wanted + row + to, [](uint8_t w) { return w != 0; })) continue;
-      float flat[kFitted] = {};  // where the colour says nothing
-      for (int x = from; x < to; ++x) flat[x - from] = is_static[row + x] ? 0.0f : 1.0f;
+      const size_t at = padded.at(y, from);
+      Pixels pixels{padded.trust.data() + at,
+                    padded.colour[0].data() + at,
+                    padded.colour[1].data() + at,
+                    padded.colour[2].data() + at,
+                    {},
+                    {},
+                    true};
+      for (int x = from; x < to; ++x) {
+        pixels.d[x - from] = d[row + x];
+        pixels.coloured[x - from] = is_static[row + x] ? 1.0f / 256.0f : 0.0f;
+        pixels.plain &= !wanted[row + x] || !is_static[row + x];
+      }
       Sums sums{};
-      const size_t at = view.at(y, from);
-      for (int j = -params.radius, n = 0; j <= params.radius; j += params.stride, ++n)
-        add_line(view.d.data() + at, view.colour[0].data() + at, view.colour[1].data() + at,
-                 view.colour[2].data() + at, view.trusted.data() + at, flat,
-                 static_cast<ptrdiff_t>(j) * view.stride, j, params, params.nearness + n * taps, sums);
+      add_neighbours(pixels, padded.stride, params, sums);
       for (int x = from; x < to; ++x) {
         if (!wanted[row + x] || !(sums.w[x - from] >= params.need)) continue;
         const double moved = std::floor(plane_height(sums, x - from, params.ridge) + 0.5);

@@ -1,6 +1,9 @@
 // Stage "refocus": the mean of the static rays' colours, and the flagged guess where there are none.
+#include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <vector>
 
 #include "core.h"
@@ -26,32 +29,41 @@ void add_bilinear(const Array& array, const uint8_t* image, int channels, int x,
   }
 }
 
-// Per pixel the distance to the nearest seen pixel of its row on the left and right, column above and below;
-// 0 = none.
-struct Distances {
-  Distances(int height, int width, const uint8_t* coverage) {
-    for (auto& d : to) d.assign(static_cast<size_t>(height) * width, 0);
-#pragma omp parallel for schedule(static)
+// The pixels that no camera saw, row by row, and of each the nearest seen pixel to the left, right, above and
+// below: how far it is, 0 = none.
+struct Unseen {
+  Unseen(int height, int width, const uint8_t* coverage) {
+    std::vector<int32_t> row_of(width, -1);  // of the last seen pixel of every column
+    std::vector<size_t> begin(height + 1, 0);
     for (int y = 0; y < height; ++y) {
+      const uint8_t* seen = coverage + static_cast<size_t>(y) * width;
+      for (int x = 0; x < width; ++x) row_of[x] = seen[x] ? y : row_of[x];
+      for (int x = 0, last = -1; (x = next(seen, x, width)) < width; ++x) {
+        if (x && seen[x - 1]) last = x - 1;
+        at.push_back(static_cast<size_t>(y) * width + x);
+        far.push_back({last < 0 ? 0 : x - last, 0, row_of[x] < 0 ? 0 : y - row_of[x], 0});
+      }
+      begin[y + 1] = at.size();
+    }
+    std::fill(row_of.begin(), row_of.end(), -1);
+    for (int y = height - 1; y >= 0; --y) {
       const size_t row = static_cast<size_t>(y) * width;
-      scan(coverage + row, width, 1, to[0].data() + row, to[1].data() + row);
-    }
-#pragma omp parallel for schedule(static)
-    for (int x = 0; x < width; ++x) scan(coverage + x, height, width, to[2].data() + x, to[3].data() + x);
-  }
-  static void scan(const uint8_t* seen, int count, size_t stride, int32_t* before, int32_t* after) {
-    int last = -1;
-    for (int i = 0; i < count; ++i) {
-      if (seen[i * stride]) last = i;
-      before[i * stride] = last < 0 ? 0 : i - last;
-    }
-    last = -1;
-    for (int i = count - 1; i >= 0; --i) {
-      if (seen[i * stride]) last = i;
-      after[i * stride] = last < 0 ? 0 : last - i;
+      for (int x = 0; x < width; ++x) row_of[x] = coverage[row + x] ? y : row_of[x];
+      int last = -1;
+      for (size_t n = begin[y + 1]; n-- > begin[y];) {
+        const int x = static_cast<int>(at[n] - row);
+        if (x + 1 < width && coverage[row + x + 1]) last = x + 1;
+        far[n][1] = last < 0 ? 0 : last - x;
+        far[n][3] = row_of[x] < 0 ? 0 : row_of[x] - y;
+      }
     }
   }
-  std::vector<int32_t> to[4];
+  static int next(const uint8_t* seen, int x, int width) {
+    const void* found = x < width ? std::memchr(seen + x, 0, static_cast<size_t>(width - x)) : nullptr;
+    return found ? static_cast<int>(static_cast<const uint8_t*>(found) - seen) : width;
+  }
+  std::vector<size_t> at;
+  std::vector<std::array<int32_t, 4>> far;
 };
 
 }  // namespace
@@ -84,28 +96,25 @@ void refocus(const Array& array, const uint8_t* colour, int channels, int refere
 
 void fill_unseen(int height, int width, int channels, const uint8_t* coverage, const float* d, float nearer,
                  float foreground_weight, uint8_t* background) {
-  const Distances distance(height, width, coverage);
+  const Unseen unseen(height, width, coverage);
   const ptrdiff_t step[4] = {-1, 1, -width, width};
-#pragma omp parallel for schedule(dynamic, 8)
-  for (int y = 0; y < height; ++y)
-    for (int x = 0; x < width; ++x) {
-      const size_t at = static_cast<size_t>(y) * width + x;
-      if (coverage[at]) continue;
-      float total[4] = {0, 0, 0, 0}, weights = 0;
-      for (int j = 0; j < 4; ++j) {
-        const int far = distance.to[j][at];
-        if (!far) continue;
-        const size_t seen = at + far * step[j];
-        float weight = 1.0f / static_cast<float>(far * far);
-        if (d[seen] > d[at] + nearer) weight *= foreground_weight;
-        for (int c = 0; c < channels; ++c)
-          total[c] += weight * static_cast<float>(background[seen * channels + c]);
-        weights += weight;
-      }
-      if (!(weights > 0)) continue;
+  for (size_t n = 0; n < unseen.at.size(); ++n) {
+    const size_t at = unseen.at[n];
+    float total[4] = {0, 0, 0, 0}, weights = 0;
+    for (int j = 0; j < 4; ++j) {
+      const int far = unseen.far[n][j];
+      if (!far) continue;
+      const size_t seen = at + far * step[j];
+      float weight = 1.0f / static_cast<float>(far * far);
+      if (d[seen] > d[at] + nearer) weight *= foreground_weight;
       for (int c = 0; c < channels; ++c)
-        background[at * channels + c] = static_cast<uint8_t>(std::floor(total[c] / weights + 0.5f));
+        total[c] += weight * static_cast<float>(background[seen * channels + c]);
+      weights += weight;
     }
+    if (!(weights > 0)) continue;
+    for (int c = 0; c < channels; ++c)
+      background[at * channels + c] = static_cast<uint8_t>(std::floor(total[c] / weights + 0.5f));
+  }
 }
 
 }  // namespace seepast

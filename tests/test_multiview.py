@@ -173,18 +173,49 @@ def test_witnesses_and_labels(name, skip):
         assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48) for b in (reference, cpu)))
 
 
+def some_candidates(grid: DisparityGrid, shape: tuple[int, int], kind: str) -> Candidates:
+    """Every pixel at all of the grid, at any chunks, or at runs of chunks that neighbours share."""
+    chunks = grid.count // CHUNK
+    if kind == "all":
+        return Candidates.all(grid, shape)
+    rng = np.random.default_rng(chunks)
+    asked = rng.random((*shape, chunks)) < 0.3
+    if kind == "clustered":
+        places = rng.integers(0, chunks, (-(-shape[0] // 7), -(-shape[1] // 19), 2)).repeat(7, 0).repeat(19, 1)
+        places = places[: shape[0], : shape[1], :, None]
+        asked = (np.abs(np.arange(chunks) - places) <= rng.integers(0, 2, (*shape, 1, 1))).any(-2)
+    asked[..., 0] |= ~asked.any(-1)
+    words = asked.astype(np.uint64) << np.arange(chunks, dtype=np.uint64)
+    return Candidates.of(grid, np.bitwise_or.reduce(words, -1))
+
+
+VOTED = (DisparityGrid(29, 8, 32), DisparityGrid(0, 3, 160), DisparityGrid(3, 1, 48), DisparityGrid(0, 20, 112))
+
+
 @every_scene
-@pytest.mark.parametrize("grid", GRIDS, ids=str)
-@pytest.mark.parametrize("weights", [WEIGHTS, VoteWeights(7680, 3, 6, 128)], ids=["preset", "largest"])
-def test_votes(name, grid, weights):
+@pytest.mark.parametrize("grid", VOTED, ids=str)
+@pytest.mark.parametrize("kind", ["all", "random", "clustered"])
+def test_votes(name, grid, kind):
     c = case(name)
-    costs = np.ascontiguousarray(c.noise[..., : grid.count])
+    candidates = some_candidates(grid, c.static.shape[1:], kind)
+    costs = np.random.default_rng(1).integers(0, 256, (candidates.start[-1], CHUNK), np.uint8)
+    rough = np.random.default_rng(2).integers(0, grid.values[-1] * UNITS, c.static.shape).astype(np.uint16)
     for k, skip in ((0, 0), (c.geometry.reference, -1)):
-        found = [
-            b.votes(costs, c.disparities, c.confidence, c.static[k], c.views[k], grid, skip, weights)
-            for b in (reference, cpu)
-        ]
-        assert_same(*found)
+        for weights in (WEIGHTS, VoteWeights(7680, 3, 6, 128)):
+            for d in (c.disparities, rough):
+                given = d, c.confidence, c.static[k], c.views[k], candidates, skip, weights
+                expected = reference.votes(costs, *given)
+                assert_same(expected, cpu.votes(costs, *given))
+                written = costs.copy()
+                assert cpu.votes(written, *given, out=written) is written
+                assert_same(expected, written)
+
+
+@every_scene
+def test_confidence(name):
+    c = case(name)
+    agree, farther = reference.witnesses(c.disparities[0], c.disparities, c.static, c.views[0], 1, UNITS)
+    assert_same(*(b.confidence_of(agree, farther, c.static[0], 14, 3) for b in (reference, cpu)))
 
 
 @every_scene
@@ -200,12 +231,11 @@ def test_planes(name):
 def test_blend(name):
     c = case(name)
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
-    clear = multiview.edge_weights(c.static, OPTIONS.multiview)
+    clear = multiview.clear_of_masks(c.static)
     for k in c.some_views:
         near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
-        assert_same(
-            *(b.blend(c.colour, rays, clear, near, c.views[k], c.disparities[k], c.choice[0]) for b in (reference, cpu))
-        )
+        given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
+        assert_same(*(b.blend(c.colour, *given) for b in (reference, cpu)))
 
 
 @pytest.mark.parametrize(

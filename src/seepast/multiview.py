@@ -88,10 +88,13 @@ def three_channels(colour: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.broadcast_to(colour, (*colour.shape[:-1], 3)))
 
 
+COUNTS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(1, dtype=np.uint8)
+
+
 def ray_count(labels: np.ndarray) -> np.ndarray:
     """Number of rays of every label set: uint8, same shape."""
-    pairs = np.unpackbits(np.ascontiguousarray(labels)[..., None].view(np.uint8), axis=-1)
-    return pairs.sum(-1, dtype=np.uint8)
+    halves = cv2.LUT(np.ascontiguousarray(labels).view(np.uint8), COUNTS)
+    return halves[:, ::2] + halves[:, 1::2]
 
 
 def agreement(o: MultiviewOptions) -> int:
@@ -263,12 +266,13 @@ def picture(
     `shown`, `passing` uint16 [H, W] from `labels`; keep bool [H, W]: own pixels of the reference. The 3x3 median
     is for seams only, where disparity or coverage change; elsewhere it would blur.
     """
-    rays = np.where(shown > 0, shown, passing)
+    rays = np.where(shown, shown, passing)
     background = backend.blend(
         colour,
         rays,
-        edge_weights(static, options.multiview),
+        clear_of_masks(static),
         camera_weights(geometry, options.multiview),
+        options.multiview.edge_weight,
         geometry,
         d,
         ~keep,
@@ -280,15 +284,14 @@ def picture(
         square = np.ones((3, 3), np.uint8)
         seams = cv2.morphologyEx(d, cv2.MORPH_GRADIENT, square) > UNITS
         seams |= cv2.morphologyEx(ray_count(shown), cv2.MORPH_GRADIENT, square) > 0
-        background = np.where((seams & ~keep)[..., None], cv2.medianBlur(background, 3), background)
+        cv2.copyTo(cv2.medianBlur(background, 3), (seams & ~keep).view(np.uint8), background)
     return background
 
 
-def edge_weights(static: np.ndarray, o: MultiviewOptions) -> np.ndarray:
-    """float32 [K, H, W]: pixels within 2 px of a mask may hold some of the person's colour, and count little."""
+def clear_of_masks(static: np.ndarray) -> np.ndarray:
+    """bool [K, H, W]: pixels within 2 px of a mask may hold some of the person's colour, and count little."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    clear = np.stack([cv2.erode(view.view(np.uint8), disc, borderValue=1) for view in static])
-    return np.where(clear > 0, np.float32(1), np.float32(o.edge_weight))
+    return np.stack([cv2.erode(view.view(np.uint8), disc, borderValue=1) for view in static]).view(bool)
 
 
 def camera_weights(geometry: ArrayGeometry, o: MultiviewOptions) -> np.ndarray:

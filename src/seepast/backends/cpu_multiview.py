@@ -11,10 +11,9 @@ import numpy as np
 from .. import _core
 from ..candidates import CHUNK, Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
-from ..many import CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
+from ..many import CONFIDENT, CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
 from .reference import FOREGROUND_WEIGHT, NEARER
-from .reference_multiview import confidence_of
 
 __all__ = [
     "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows",
@@ -112,20 +111,28 @@ def labels(
     return shown, passing
 
 
+def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
+    out = np.empty(agree.shape, np.uint8)
+    _core.confidence_of(agree, _bytes(farther), _bytes(static), CONFIDENT, lone, doubtful, out)
+    return out
+
+
 def votes(
     costs: np.ndarray,
     disparities: np.ndarray,
     confidence: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
-    grid: DisparityGrid,
+    candidates: Candidates,
     skip: int,
     weights: VoteWeights,
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
-    out = np.empty_like(costs)
+    """`out`, where the energies go, may be `costs`."""
+    out = np.empty_like(costs) if out is None else out
     _core.votes(
-        geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(grid), skip,
-        weights.base, weights.gain, weights.hide, weights.volume, out,
+        geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(candidates.grid),
+        candidates.active, candidates.start, skip, weights.base, weights.gain, weights.hide, weights.volume, out,
     )  # fmt: skip
     return out
 
@@ -146,6 +153,7 @@ def blend(
     rays: np.ndarray,
     clear: np.ndarray,
     near: np.ndarray,
+    edge: float,
     geometry: ArrayGeometry,
     disparity: np.ndarray,
     wanted: np.ndarray,
@@ -157,8 +165,9 @@ def blend(
         geometry.reference,
         colour,
         rays,
-        clear,
+        _bytes(clear),
         near,
+        edge,
         disparity,
         _bytes(wanted),
         out,

@@ -328,28 +328,29 @@ def votes(
     confidence: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
-    grid: DisparityGrid,
+    candidates: Candidates,
     skip: int,
     weights: VoteWeights,
 ) -> np.ndarray:
-    """Energies of the view's candidates from what all cameras but `skip` see there: uint8 [H, W, count].
+    """Energies of the view's candidates from what all cameras but `skip` see there: uint8 [n, CHUNK].
 
     With e = D_k(x^k) - d in pixels and c the confidence of D_k there (0 where k is not static): support
     s = sum c max(0, 1 - |e|); k sees farther, so the candidate would stand in its line of sight: violation
     v = sum c min(1, (|e| - 1) / 2) over e < 0. A supported candidate hides those behind it, where the view itself
-    does not see: o(d) = max over d' >= d + 2 of max(0, s(d') - v(d')).
+    does not see: o(d) = max over the pixel's candidates d' >= d + 2 of max(0, s(d') - v(d')).
     E = max(0, base - gain min(s, 2) + gain min(v, 2) + hide min(o, 1)) + volume_weight * costs.
 
     static bool [H, W] of the view. s, v and o are counted in units of 1 / FULL_VOTE, E in 128ths.
     """
-    height, width, count = costs.shape
+    height, width = static.shape
+    grid, asked = candidates.grid, candidates.mask
     y, x = np.mgrid[:height, :width].astype(np.int32)
     lag = -(-2 * 8 // grid.step)
     hide = np.where(static, 0, weights.hide)
     margins: list[np.ndarray] = []  # max(0, s - v) of the candidates from the nearest on
     nearer = np.zeros((height, width), np.int32)
-    out = np.empty(costs.shape, np.uint8)
-    for i in reversed(range(count)):
+    energies = np.empty(asked.shape, np.int32)
+    for i in reversed(range(grid.count)):
         s, v = np.zeros((height, width), np.int32), np.zeros((height, width), np.int32)
         for k in range(geometry.cameras):
             if k == skip:
@@ -357,15 +358,14 @@ def votes(
             e, c = vote_of(disparities[k], confidence[k], geometry, k, x, y, grid.values[i])
             s += c * 2 * np.maximum(0, UNITS - np.abs(e))
             v += c * np.minimum(2 * UNITS, np.maximum(0, -e - UNITS))
-        margins.append(np.maximum(0, s - v))
+        margins.append(np.where(asked[..., i], np.maximum(0, s - v), 0))
         if len(margins) > lag:
             nearer = np.maximum(nearer, margins[-1 - lag])
         energy = weights.base + weights.gain * (np.minimum(v, 2 * FULL_VOTE) - np.minimum(s, 2 * FULL_VOTE))
         energy = (np.maximum(0, energy + hide * np.minimum(nearer, FULL_VOTE)) + 64) >> 7
-        out[..., i] = np.minimum(
-            255, np.minimum(255, energy) + ((costs[..., i].astype(np.int32) * weights.volume + 64) >> 7)
-        )
-    return out
+        energies[..., i] = np.minimum(255, energy)
+    parts = (costs.astype(np.int32) * weights.volume + 64) >> 7
+    return np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts).astype(np.uint8)
 
 
 def vote_of(disparity, confidence, geometry, k, x, y, d) -> tuple[np.ndarray, np.ndarray]:
@@ -465,14 +465,15 @@ def blend(
     rays: np.ndarray,
     clear: np.ndarray,
     near: np.ndarray,
+    edge: float,
     geometry: ArrayGeometry,
     disparity: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
     """Weighted mean of the rays' colours, cubic samples at x^k: uint8 [H, W, 3], the view's own where not wanted.
 
-    rays uint16 [H, W]; clear float32 [K, H, W]: weight of camera k's own pixels, small beside masks; near float32
-    [K]: weight of cameras, which falls with their distance, since blending far views blurs. 0 without any ray.
+    rays uint16 [H, W]; clear bool [K, H, W]: pixels of camera k that are not beside a mask: those weigh `edge`; near
+    float32 [K]: weight of cameras, which falls with their distance, since blending far views blurs. 0 without any ray.
     """
     height, width = rays.shape
     y, x = np.mgrid[:height, :width].astype(np.int32)
@@ -483,7 +484,8 @@ def blend(
         half = np.float32(0.5)
         column = (x + np.floor(dx + half).astype(np.int32)).clip(0, width - 1)
         row = (y + np.floor(dy + half).astype(np.int32)).clip(0, height - 1)
-        w = np.where(used, clear[k, row, column] * near[k], np.float32(0))
+        w = np.where(clear[k, row, column], np.float32(1), np.float32(edge)) * near[k]
+        w = np.where(used, w, np.float32(0))
         total += w[..., None] * bicubic(colour[k], x, y, dx, dy)
         weights += w
     mean = total / np.where(weights > 0, weights, np.float32(1))[..., None]
