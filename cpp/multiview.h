@@ -7,6 +7,7 @@
 
 namespace seepast {
 
+constexpr int kChunk = 16;        // neighbouring candidates that are matched together: candidates.py CHUNK
 constexpr int kUnits = 32;        // disparities of views: uint16 in 32nds of a pixel over the array
 constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
@@ -55,10 +56,12 @@ struct Penalties {
   const uint16_t* large;  // [766], by the colour step
   int dynamic;
 };
-// image uint8 [H, W, 3]. `scratch` uint16 [H, W, count] need not be set. out uint16 [H, W], before the
-// median.
+// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3]; paths 8 or
+// 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W], before the median.
+size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
 void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
-               const Grid& grid, const Penalties& penalties, uint16_t* scratch, uint16_t* out);
+               const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
+               int paths, uint16_t* scratch, uint16_t* out);
 
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
