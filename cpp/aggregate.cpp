@@ -30,7 +30,7 @@ size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 struct Layout {
   Layout(int height, int width, int count, int paths, size_t chunks)
       : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard), columns(width + 2) {
-    row = lines(kGuard + columns * pitch);
+    row = (kGuard + columns * pitch + 2047) / 2048 * 2048 + 320;
     lows = lines(columns);
     sweep = 2 * vertical * (row + lows) + lines(3 * pitch + kGuard);
     steps = lines(static_cast<size_t>(width + 2) * (height + 1));

@@ -27,38 +27,37 @@ inline Lanes least(Lanes a, Lanes b) { return a < b ? a : b; }
 inline Lanes select_less(Lanes a, Lanes b, Lanes yes, Lanes no) { return a < b ? yes : no; }
 inline Lanes select_equal(Lanes a, Lanes b, Lanes yes, Lanes no) { return a == b ? yes : no; }
 
-// What stands one before, and one after, `here`.
-inline Lanes one_up(Lanes before, Lanes here) {
-#ifdef __AVX2__
-  const __m256i b = reinterpret_cast<__m256i>(before), h = reinterpret_cast<__m256i>(here);
-  return reinterpret_cast<Lanes>(_mm256_alignr_epi8(h, _mm256_permute2x128_si256(b, h, 0x21), 14));
-#endif
-  return __builtin_shufflevector(before, here, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30);
-}
-inline Lanes one_down(Lanes here, Lanes after) {
-#ifdef __AVX2__
-  const __m256i h = reinterpret_cast<__m256i>(here), a = reinterpret_cast<__m256i>(after);
-  return reinterpret_cast<Lanes>(_mm256_alignr_epi8(_mm256_permute2x128_si256(h, a, 0x21), h, 2));
-#endif
-  return __builtin_shufflevector(here, after, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16);
-}
+// The lower of the entries one before and one after each.
+inline Lanes least_beside(const int16_t* b) { return least(load(b - 1), load(b + 1)); }
 
+#ifdef __AVX2__
+// The same of entries that have just been written: a load that spans two stores would wait for both.
+inline Lanes least_beside_fresh(const int16_t* b) {
+  const __m256i before = reinterpret_cast<__m256i>(load(b - kChunk)), here = reinterpret_cast<__m256i>(load(b)),
+                after = reinterpret_cast<__m256i>(load(b + kChunk));
+  const __m256i up = _mm256_alignr_epi8(here, _mm256_permute2x128_si256(before, here, 0x21), 14);
+  const __m256i down = _mm256_alignr_epi8(_mm256_permute2x128_si256(here, after, 0x21), here, 2);
+  return least(reinterpret_cast<Lanes>(up), reinterpret_cast<Lanes>(down));
+}
+#else
+inline Lanes least_beside_fresh(const int16_t* b) { return least_beside(b); }
+#endif
+
+typedef int16_t Half __attribute__((vector_size(16), may_alias));
+inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
+inline Half folded(Lanes a) {
+  return lower_half(__builtin_shufflevector(a, a, 0, 1, 2, 3, 4, 5, 6, 7),
+                    __builtin_shufflevector(a, a, 8, 9, 10, 11, 12, 13, 14, 15));
+}
+inline Half interleaved(Half a, Half b) {
+  return lower_half(__builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11),
+                    __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15));
+}
 // Lowest lane of each: `lowest` [4], and that of a in all lanes.
 inline Lanes lowest_of_four(Lanes a, Lanes b, Lanes c, Lanes d, int16_t* lowest) {
-  const Lanes ab = least(
-      __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23),
-      __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31));
-  const Lanes cd = least(
-      __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23),
-      __builtin_shufflevector(c, d, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31));
-  Lanes t = least(__builtin_shufflevector(ab, cd, 0, 16, 1, 17, 2, 18, 3, 19, 8, 24, 9, 25, 10, 26, 11, 27),
-                  __builtin_shufflevector(ab, cd, 4, 20, 5, 21, 6, 22, 7, 23, 12, 28, 13, 29, 14, 30, 15, 31));
-  t = least(t, __builtin_shufflevector(t, t, 4, 5, 6, 7, 0, 1, 2, 3, 12, 13, 14, 15, 8, 9, 10, 11));
-  t = least(t, __builtin_shufflevector(t, t, 2, 3, 0, 1, 6, 7, 4, 5, 10, 11, 8, 9, 14, 15, 12, 13));
-  lowest[0] = t[0];
-  lowest[1] = t[8];
-  lowest[2] = t[1];
-  lowest[3] = t[9];
+  Half t = interleaved(interleaved(folded(a), folded(c)), interleaved(folded(b), folded(d)));  // a b c d a b c d
+  t = lower_half(t, __builtin_shufflevector(t, t, 4, 5, 6, 7, 0, 1, 2, 3));
+  for (int i = 0; i < 4; ++i) lowest[i] = t[i];
   return splat(t[0]);
 }
 inline int16_t lowest_of(Lanes a) {
@@ -110,7 +109,8 @@ void steps_of_row(const Row& r) {
   alignas(64) int16_t last[64 * kChunk];
   const int16_t* along = r.outside;
   int16_t *along_to = r.beside, *along_next = r.beside + pitch;
-  uint64_t held = 0, held_next = 0;
+  uint64_t held = 0, held_next = 0;  // chunks written there
+  std::fill_n(r.beside, 2 * pitch, kBeyond);
   Lanes along_low = splat(0);
   int x = direction > 0 ? 0 : width - 1;
   for (int i = 0; i < width; ++i, x += direction) {
@@ -144,7 +144,7 @@ void steps_of_row(const Row& r) {
       Lanes total = (kLast ? load(sum) : splat(0)) - total_low;
       for (int p = 0; p < kVertical; ++p) {
         const int16_t* b = from + at + p * before_path;
-        const Lanes beside = least(load(b - 1), load(b + 1)) + small;
+        const Lanes beside = least_beside(b) + small;
         const Lanes v = least(least(load(b), far[p]), beside) + c;
         store(to + at + p * path, v);
         minimum[p] = least(minimum[p], v);
@@ -152,9 +152,8 @@ void steps_of_row(const Row& r) {
       }
       {
         const int16_t* b = along + at;
-        const Lanes before = load(b - kChunk), here = load(b), after = load(b + kChunk);
-        const Lanes beside = least(one_up(before, here), one_down(here, after)) + small;
-        const Lanes v = least(least(here, beside), far[kVertical]) + c;
+        const Lanes beside = least_beside_fresh(b) + small;
+        const Lanes v = least(least(load(b), far[kVertical]), beside) + c;
         store(along_to + at, v);
         minimum[kVertical] = least(minimum[kVertical], v);
         total += v;

@@ -58,13 +58,15 @@ void bind_multiview(nb::module_& m) {
       },
       free_lock);
 
+  m.def("aggregate_scratch", &aggregate_scratch);
   m.def(
       "aggregate",
-      [](In<uint8_t, 3> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid, int small,
-         In<uint16_t, 1> large, int dynamic, Out<uint16_t, 3> scratch, Out<uint16_t, 2> out) {
+      [](In<uint8_t, 2> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid,
+         In<uint64_t, 2> active, In<int32_t, 1> start, int small, In<uint16_t, 1> large, int dynamic, int paths,
+         Out<uint16_t, 1> scratch, Out<uint16_t, 2> out) {
         aggregate(costs.data(), image.data(), is_static.data(), static_cast<int>(out.shape(0)),
-                  static_cast<int>(out.shape(1)), grid, Penalties{small, large.data(), dynamic},
-                  scratch.data(), out.data());
+                  static_cast<int>(out.shape(1)), grid, active.data(), start.data(),
+                  Penalties{small, large.data(), dynamic}, paths, scratch.data(), out.data());
       },
       free_lock);
 

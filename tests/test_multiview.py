@@ -11,7 +11,7 @@ from arrays import Scene, make_scene, noise_scene
 from seepast import Options, _core, multiview
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
-from seepast.candidates import DisparityGrid
+from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.frames import Frame
 from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
 from seepast.pipeline import Clock
@@ -19,6 +19,7 @@ from seepast.pipeline import Clock
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
 FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
+STEEPEST = Penalties.of(200, 1000, 1000, 1000)  # the largest that options allow
 GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
 
 SCENES = {
@@ -112,13 +113,50 @@ def test_volume(name):
             )
 
 
+def masks_of(shape: tuple[int, int], chunks: int, kind: str) -> np.ndarray:
+    """uint64 [H, W] of active chunks: all; any; or one or two clusters that change now and then along a row."""
+    rng = np.random.default_rng(chunks)
+    whole = np.uint64((1 << chunks) - 1)
+    if kind == "all":
+        return np.full(shape, whole)
+    if kind == "random":
+        return np.maximum(rng.integers(0, 1 << 64, shape, np.uint64) & whole, np.uint64(1))
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    first, second = ((x // 13 + y // 7 + more) * 5 % chunks for more in (0, 2))
+    near = (np.uint64(1) << first.astype(np.uint64)) | (np.uint64(2) << first.astype(np.uint64))
+    far = np.where(x % 11 < 4, np.uint64(1) << second.astype(np.uint64), np.uint64(0))
+    return (near | far) & whole
+
+
 @every_scene
-@pytest.mark.parametrize("grid", GRIDS[:1] + GRIDS[2:], ids=str)
-@pytest.mark.parametrize("penalties", [FIRST, FINAL], ids=["first", "final"])
-def test_aggregate(name, grid, penalties):
+@pytest.mark.parametrize("kind", ["all", "random", "clusters"])
+@pytest.mark.parametrize("paths", [8, 4])
+def test_aggregate(name, kind, paths):
     c = case(name)
-    costs = np.ascontiguousarray(c.noise[..., : grid.count])
-    assert_same(*(b.aggregate(costs, c.colour[0], c.static[0], grid, penalties) for b in (reference, cpu)))
+    rng = np.random.default_rng(7)
+    shape = c.static.shape[1:]
+    for chunks, penalties in ((1, FIRST), (3, FINAL), (8, FIRST), (64 if shape[0] * shape[1] < 1500 else 11, STEEPEST)):
+        grid = DisparityGrid(3, 1 + 16 // chunks, 16 * chunks)
+        candidates = Candidates.of(grid, masks_of(shape, chunks, kind))
+        costs = rng.integers(0, 256, (candidates.start[-1], CHUNK), np.uint8)
+        if chunks == 8:
+            costs = np.minimum(costs // 40, 3)  # many equal sums
+        if chunks == 3:
+            costs |= 192  # paths whose costs gather fast
+        assert_same(
+            *(b.aggregate(costs, c.colour[0], c.static[0], candidates, penalties, paths) for b in (reference, cpu))
+        )
+
+
+def test_long_paths_keep_their_numbers_small():
+    """Where all is dear, costs gather along the path: over 700 pixels they would leave 16 bits."""
+    rng = np.random.default_rng(1)
+    for shape in ((3, 700), (700, 3)):
+        candidates = Candidates.of(DisparityGrid(0, 4, 64), masks_of(shape, 4, "clusters"))
+        costs = rng.integers(200, 256, (candidates.start[-1], CHUNK), np.uint8)
+        image = rng.integers(0, 256, (*shape, 3), np.uint8)
+        found = [b.aggregate(costs, image, np.ones(shape, bool), candidates, STEEPEST) for b in (reference, cpu)]
+        assert_same(*found)
 
 
 @every_scene

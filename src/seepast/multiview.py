@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from . import backends
-from .candidates import EIGHTHS, DisparityGrid
+from .candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
 from .many import UNITS, PairCosts, Penalties, VoteWeights
@@ -65,7 +65,7 @@ def see_past(
         wanted_costs, costs[r] = costs[r], np.ascontiguousarray(costs[r][..., :: o.view_step])
         del features  # a fifth of the memory
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along 8 paths
-        found = np.stack([backend.aggregate(costs[k], colour[k], static[k], grid, first) for k in range(K)])
+        found = np.stack([aggregated(backend, costs[k], colour[k], static[k], grid, first) for k in range(K)])
     found, confidence = confirmed(found, colour, static, views, o, backend, clock)
 
     for _ in range(o.rounds - 1):  # once more, with what the others saw
@@ -74,13 +74,13 @@ def see_past(
             with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
                 energy = backend.votes(costs[k], found, confidence, static[k], views[k], grid, k, VoteWeights.of(o))
             with clock("aggregate"):
-                better.append(backend.aggregate(energy, colour[k], static[k], grid, first))
+                better.append(aggregated(backend, energy, colour[k], static[k], grid, first))
         found, confidence = confirmed(np.stack(better), colour, static, views, o, backend, clock)
 
     with clock("votes"):  # the wanted view, its own vote included
         energy = backend.votes(wanted_costs, found, confidence, static[r], geometry, fine, -1, VoteWeights.of(o))
     with clock("aggregate"):
-        d = backend.aggregate(energy, colour[r], static[r], fine, final)
+        d = aggregated(backend, energy, colour[r], static[r], fine, final)
     if o.planes:
         with clock("planes"):  # where fewer than two static views agree
             agree, _ = backend.witnesses(d, found, static, geometry, -1, agreement(o))
@@ -114,6 +114,11 @@ def ray_count(labels: np.ndarray) -> np.ndarray:
     """Number of rays of every label set: uint8, same shape."""
     pairs = np.unpackbits(np.ascontiguousarray(labels)[..., None].view(np.uint8), axis=-1)
     return pairs.sum(-1, dtype=np.uint8)
+
+
+def aggregated(backend, costs, image, static, grid: DisparityGrid, penalties: Penalties) -> np.ndarray:
+    """backend.aggregate of dense costs uint8 [H, W, count]."""
+    return backend.aggregate(costs.reshape(-1, CHUNK), image, static, Candidates.all(grid, static.shape), penalties)
 
 
 def agreement(o: MultiviewOptions) -> int:
@@ -231,8 +236,8 @@ def surfaces(
     views = [small.seen_from(k) for k in range(len(colour))]
     found = np.stack(
         [
-            backend.aggregate(
-                backend.volume(features, view, grid, PairCosts.of(o)), colour[k], static[k], grid, penalties
+            aggregated(
+                backend, backend.volume(features, view, grid, PairCosts.of(o)), colour[k], static[k], grid, penalties
             )
             for k, view in enumerate(views)
         ]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from .. import _core
-from ..candidates import DisparityGrid
+from ..candidates import Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
 from ..many import CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
@@ -51,12 +51,18 @@ def volume(features: Features, geometry: ArrayGeometry, grid: DisparityGrid, cos
 
 
 def aggregate(
-    costs: np.ndarray, image: np.ndarray, static: np.ndarray, grid: DisparityGrid, penalties: Penalties
+    costs: np.ndarray,
+    image: np.ndarray,
+    static: np.ndarray,
+    candidates: Candidates,
+    penalties: Penalties,
+    paths: int = 8,
 ) -> np.ndarray:
     out = np.empty(static.shape, np.uint16)
+    scratch = _scratch(_core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs)))
     _core.aggregate(
-        costs, image, _bytes(static), _grid(grid), penalties.small, penalties.large, penalties.dynamic,
-        _scratch(costs.shape), out,
+        costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
+        penalties.large, penalties.dynamic, paths, scratch, out,
     )  # fmt: skip
     return cv2.medianBlur(out, 5)
 
@@ -64,12 +70,11 @@ def aggregate(
 _kept = threading.local()
 
 
-def _scratch(shape: tuple[int, ...]) -> np.ndarray:
-    """uint16 of this shape, the same memory for every call of a thread: fresh pages would cost more than the sums."""
-    size = int(np.prod(shape))
+def _scratch(size: int) -> np.ndarray:
+    """uint16 [size], the same memory for every call of a thread: fresh pages would cost more than the sums."""
     if getattr(_kept, "sums", None) is None or _kept.sums.size < size:
         _kept.sums = np.empty(size, np.uint16)
-    return _kept.sums[:size].reshape(shape)
+    return _kept.sums[:size]
 
 
 def witnesses(
