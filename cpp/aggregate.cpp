@@ -19,10 +19,11 @@
 namespace seepast {
 namespace {
 
-constexpr int16_t kBeyond = 20000;  // path cost where a pixel is not matched: more than any, and 1000, P2's most
+constexpr int16_t kBeyond =
+    20000;  // path cost where a pixel is not matched: more than any, and 1000, P2's most
 constexpr int16_t kUnsettled = 8000;
-constexpr int kGuard = kChunk;      // entries of it between two pixels' candidates
-constexpr size_t kLine = 32;        // entries of a cache line
+constexpr int kGuard = kChunk;  // entries of it between two pixels' candidates
+constexpr size_t kLine = 32;    // entries of a cache line
 
 size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 
@@ -30,9 +31,9 @@ size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 struct Layout {
   Layout(int height, int width, int count, int paths, size_t chunks)
       : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard), columns(width + 2) {
-    row = (kGuard + columns * pitch + 2047) / 2048 * 2048 + 320;
+    row = (kGuard + columns * pitch + 2047) / 2048 * 2048 + 352;
     lows = lines(columns);
-    sweep = 2 * vertical * (row + lows) + lines(3 * pitch + kGuard);
+    sweep = 2 * vertical * (row + lows) + lines(3 * pitch + kGuard) + lines(4 * width);
     steps = lines(static_cast<size_t>(width + 2) * (height + 1));
     sums = chunks * kChunk;
     total = 2 * sweep + (vertical + 1) * steps + sums + kLine;
@@ -43,8 +44,14 @@ struct Layout {
   size_t sweep, steps, sums, total;
 };
 
-// What does not change from row to row; `paths` are those from the row before, at x - 1, x, x + 1 or only x, and
-// then the one along the row.
+// Number and sum of a pixel's lowest candidate, and the sums beside it, which count only where they are
+// active.
+struct Pick {
+  int16_t best, left, lowest, right;
+};
+
+// What does not change from row to row; `paths` are those from the row before, at x - 1, x, x + 1 or only x,
+// and then the one along the row.
 struct Row {
   const uint8_t* costs;
   const uint64_t* active;        // [W]
@@ -52,7 +59,7 @@ struct Row {
   const int32_t* start;          // [W]
   int width, direction, small;
   Grid grid;
-  const int16_t* before;            // of the row before: column 0 or -1, path 0
+  const int16_t* before;                // of the row before: column 0 or -1, path 0
   ptrdiff_t before_path, before_pitch;  // from path to path, each a column farther, and from column to column
   const int16_t* before_low[3];
   int16_t* to;
@@ -62,21 +69,29 @@ struct Row {
   int16_t* beside;          // two pixels' entries of the path along the row
   const int16_t* outside;   // entries that are 0
   int16_t* sums;
+  Pick* picks;    // [W]
   uint16_t* out;  // nullptr: store the sums
 };
 
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // in GCC's own headers
 #pragma GCC push_options
 #pragma GCC target("arch=x86-64-v4")
 namespace v4 {
+#define SEEPAST_AVX2
+#define SEEPAST_AVX512
 #include "aggregate_rows.h"
-}
+}  // namespace v4
 #pragma GCC pop_options
+#pragma GCC diagnostic pop
 #pragma GCC push_options
 #pragma GCC target("arch=x86-64-v3")
 namespace v3 {
+#undef SEEPAST_AVX512
 #include "aggregate_rows.h"
-}
+}  // namespace v3
+#undef SEEPAST_AVX2
 #pragma GCC pop_options
 #endif
 namespace baseline {
@@ -92,10 +107,10 @@ Run runner() {
   return baseline::run;
 }
 
-// P2 between every pixel and the one left of it, above it, above left, and above right; 0 at the image's edge.
-// Rows have an entry before and one after them, and there is one row more than the image has.
-SEEPAST_CLONES void step_row(const uint8_t* image, const uint8_t* is_static, int from, int to, ptrdiff_t other,
-                             const Penalties& penalties, int16_t* out) {
+// P2 between every pixel and the one left of it, above it, above left, and above right; 0 at the image's
+// edge. Rows have an entry before and one after them, and there is one row more than the image has.
+SEEPAST_CLONES void step_row(const uint8_t* image, const uint8_t* is_static, int from, int to,
+                             ptrdiff_t other, const Penalties& penalties, int16_t* out) {
   for (int x0 = from; x0 < to; x0 += 256) {
     const int n = std::min(256, to - x0);
     const uint8_t *a = image + 3 * x0, *b = a + 3 * other, *s = is_static + x0;
@@ -142,9 +157,15 @@ struct Steps {
 
 // One sweep: direction 1 goes down and right, -1 up and left.
 struct Sweep {
-  Sweep(const View& view, const Grid& grid, const Penalties& penalties, const Steps& large, const Layout& layout,
-        int direction, int16_t* memory, int16_t* sums)
-      : view(view), grid(grid), small(penalties.small), large(large), layout(layout), direction(direction), sums(sums) {
+  Sweep(const View& view, const Grid& grid, const Penalties& penalties, const Steps& large,
+        const Layout& layout, int direction, int16_t* memory, int16_t* sums)
+      : view(view),
+        grid(grid),
+        small(penalties.small),
+        large(large),
+        layout(layout),
+        direction(direction),
+        sums(sums) {
     entries = memory;
     lows = entries + 2 * layout.vertical * layout.row;
     beside = lows + 2 * layout.vertical * layout.lows;
@@ -195,11 +216,13 @@ struct Sweep {
     r.before = n ? entry(n - 1, 0) - (layout.vertical == 3 ? r.pitch : 0) : r.outside;
     r.before_path = n ? r.path + r.pitch : 0, r.before_pitch = n ? r.pitch : 0;
     for (size_t path = 0; path < layout.vertical; ++path) {
-      r.before_low[path] = low(n + 1, path) + static_cast<ptrdiff_t>(path) - static_cast<ptrdiff_t>(layout.vertical / 2);
+      r.before_low[path] =
+          low(n + 1, path) + static_cast<ptrdiff_t>(path) - static_cast<ptrdiff_t>(layout.vertical / 2);
       r.to_low[path] = low(n, path);
     }
     large_of(y, r.large);
     r.sums = sums;
+    r.picks = reinterpret_cast<Pick*>(beside + lines(3 * layout.pitch + kGuard));
     r.out = out;
     return r;
   }
@@ -237,7 +260,8 @@ void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_sta
   const Layout layout(height, width, grid.count, paths, start[static_cast<size_t>(height) * width]);
   void* memory = scratch;
   size_t space = layout.total * sizeof(int16_t);
-  int16_t* base = static_cast<int16_t*>(std::align(2 * kLine, (layout.total - kLine) * sizeof(int16_t), memory, space));
+  int16_t* base =
+      static_cast<int16_t*>(std::align(2 * kLine, (layout.total - kLine) * sizeof(int16_t), memory, space));
   const Steps large(view, penalties, layout, base + 2 * layout.sweep);
   int16_t* sums = base + 2 * layout.sweep + (layout.vertical + 1) * layout.steps;
   const Sweep sweeps[2] = {{view, grid, penalties, large, layout, 1, base, sums},

@@ -62,8 +62,8 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "aggregate",
       [](In<uint8_t, 2> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid,
-         In<uint64_t, 2> active, In<int32_t, 1> start, int small, In<uint16_t, 1> large, int dynamic, int paths,
-         Out<uint16_t, 1> scratch, Out<uint16_t, 2> out) {
+         In<uint64_t, 2> active, In<int32_t, 1> start, int small, In<uint16_t, 1> large, int dynamic,
+         int paths, Out<uint16_t, 1> scratch, Out<uint16_t, 2> out) {
         aggregate(costs.data(), image.data(), is_static.data(), static_cast<int>(out.shape(0)),
                   static_cast<int>(out.shape(1)), grid, active.data(), start.data(),
                   Penalties{small, large.data(), dynamic}, paths, scratch.data(), out.data());

@@ -56,7 +56,8 @@ struct Penalties {
   const uint16_t* large;  // [766], by the colour step
   int dynamic;
 };
-// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3]; paths 8 or
+// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3];
+// paths 8 or
 // 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W], before the median.
 size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
 void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
