@@ -1,29 +1,21 @@
 // The inner loops of aggregate.cpp, which includes this once for every instruction set.
 //
 // Lanes: sixteen signed 16-bit numbers, as many as a chunk has candidates.
+typedef int16_t Half __attribute__((vector_size(16), may_alias));
+typedef uint8_t Bytes __attribute__((vector_size(16), may_alias));
+
+#ifdef SEEPAST_AVX2
 typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
-typedef uint8_t Bytes __attribute__((vector_size(16), aligned(1), may_alias));
 typedef uint8_t BytesTwice __attribute__((vector_size(32), may_alias));
-typedef int16_t LanesAnywhere __attribute__((vector_size(32), aligned(2), may_alias));
 
 inline Lanes splat(int16_t value) {
   const Lanes first = {value};
   return __builtin_shufflevector(first, first, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
 }
-inline Lanes load(const int16_t* from) { return *reinterpret_cast<const LanesAnywhere*>(from); }
-template <class V>
-inline V load_as(const int16_t* from) {
-  V v;
-  __builtin_memcpy(&v, from, sizeof v);
-  return v;
-}
-template <class V>
-inline void store_as(int16_t* to, V v) {
-  __builtin_memcpy(to, &v, sizeof v);
-}
-inline void store(int16_t* to, Lanes v) { *reinterpret_cast<LanesAnywhere*>(to) = v; }
 inline Lanes widened(const uint8_t* from) {
-  const Bytes b = *reinterpret_cast<const Bytes*>(from), zero = {};
+  const Bytes zero = {};
+  Bytes b;
+  __builtin_memcpy(&b, from, sizeof b);
   return reinterpret_cast<Lanes>(static_cast<BytesTwice>(
       __builtin_shufflevector(b, zero, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23, 8, 24, 9, 25,
                               10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)));
@@ -35,6 +27,58 @@ inline V least(V a, V b) {
 }
 inline Lanes select_less(Lanes a, Lanes b, Lanes yes, Lanes no) { return a < b ? yes : no; }
 inline Lanes select_equal(Lanes a, Lanes b, Lanes yes, Lanes no) { return a == b ? yes : no; }
+inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
+inline Half folded(Lanes a) {
+  return lower_half(__builtin_shufflevector(a, a, 0, 1, 2, 3, 4, 5, 6, 7),
+                    __builtin_shufflevector(a, a, 8, 9, 10, 11, 12, 13, 14, 15));
+}
+#else
+// Where nothing is as wide, two halves: the compiler would take them to pieces.
+struct Lanes {
+  Half a, b;
+  Lanes& operator+=(Lanes o) { return *this = {a + o.a, b + o.b}; }
+  Lanes& operator-=(Lanes o) { return *this = {a - o.a, b - o.b}; }
+  int16_t operator[](int i) const { return i < 8 ? a[i] : b[i - 8]; }
+};
+inline Lanes operator+(Lanes a, Lanes b) { return a += b; }
+inline Lanes operator-(Lanes a, Lanes b) { return a -= b; }
+inline Lanes splat(int16_t value) {
+  const Half h = {value, value, value, value, value, value, value, value};
+  return {h, h};
+}
+inline Lanes widened(const uint8_t* from) {
+  const Bytes zero = {};
+  Bytes b;
+  __builtin_memcpy(&b, from, sizeof b);
+  return {reinterpret_cast<Half>(static_cast<Bytes>(
+              __builtin_shufflevector(b, zero, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23))),
+          reinterpret_cast<Half>(static_cast<Bytes>(__builtin_shufflevector(
+              b, zero, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)))};
+}
+inline Lanes lane_numbers() { return {Half{0, 1, 2, 3, 4, 5, 6, 7}, Half{8, 9, 10, 11, 12, 13, 14, 15}}; }
+inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
+inline Lanes least(Lanes a, Lanes b) { return {lower_half(a.a, b.a), lower_half(a.b, b.b)}; }
+inline Lanes select_less(Lanes a, Lanes b, Lanes yes, Lanes no) {
+  return {a.a < b.a ? yes.a : no.a, a.b < b.b ? yes.b : no.b};
+}
+inline Lanes select_equal(Lanes a, Lanes b, Lanes yes, Lanes no) {
+  return {a.a == b.a ? yes.a : no.a, a.b == b.b ? yes.b : no.b};
+}
+inline Half folded(Lanes a) { return lower_half(a.a, a.b); }
+#endif
+
+template <class V>
+inline V load_as(const int16_t* from) {
+  V v;
+  __builtin_memcpy(&v, from, sizeof v);
+  return v;
+}
+template <class V>
+inline void store_as(int16_t* to, V v) {
+  __builtin_memcpy(to, &v, sizeof v);
+}
+inline Lanes load(const int16_t* from) { return load_as<Lanes>(from); }
+inline void store(int16_t* to, Lanes v) { store_as(to, v); }
 
 // The lower of the entries one before and one after each.
 template <class V>
@@ -86,12 +130,6 @@ inline Wide least_beside_fresh_twice(const int16_t* b) {
 }
 #endif
 
-typedef int16_t Half __attribute__((vector_size(16), may_alias));
-inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
-inline Half folded(Lanes a) {
-  return lower_half(__builtin_shufflevector(a, a, 0, 1, 2, 3, 4, 5, 6, 7),
-                    __builtin_shufflevector(a, a, 8, 9, 10, 11, 12, 13, 14, 15));
-}
 inline Half interleaved(Half a, Half b) {
   return lower_half(__builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11),
                     __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15));
