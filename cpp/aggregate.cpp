@@ -21,9 +21,9 @@ namespace {
 
 constexpr int16_t kBeyond =
     20000;  // path cost where a pixel is not matched: more than any, and 1000, P2's most
-constexpr int16_t kUnsettled = 8000;
-constexpr int kGuard = kChunk;  // entries of it between two pixels' candidates
-constexpr size_t kLine = 32;    // entries of a cache line
+constexpr int16_t kUnsettled = 8000;  // lowest path cost at which what has gathered on the path is taken away
+constexpr int kGuard = kChunk;        // entries of it between two pixels' candidates
+constexpr size_t kLine = 32;          // entries of a cache line
 
 size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 
@@ -40,7 +40,8 @@ struct Layout {
   }
 
   size_t vertical, pitch, columns;
-  size_t row, lows;  // of one path: entries, and lowest entries
+  size_t row, lows;  // of one path: entries, spread over a page (a load waits for stores that are a page
+                     // away), lowest
   size_t sweep, steps, sums, total;
 };
 
