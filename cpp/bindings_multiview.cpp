@@ -76,13 +76,15 @@ void bind_multiview(nb::module_& m) {
       },
       free_lock);
 
+  m.def("aggregate_scratch", &aggregate_scratch);
   m.def(
       "aggregate",
-      [](In<uint8_t, 3> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid, int small,
-         In<uint16_t, 1> large, int dynamic, Out<uint16_t, 3> scratch, Out<uint16_t, 2> out) {
+      [](In<uint8_t, 2> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid,
+         In<uint64_t, 2> active, In<int32_t, 1> start, int small, In<uint16_t, 1> large, int dynamic,
+         int paths, Out<uint16_t, 1> scratch, Out<uint16_t, 2> out) {
         aggregate(costs.data(), image.data(), is_static.data(), static_cast<int>(out.shape(0)),
-                  static_cast<int>(out.shape(1)), grid, Penalties{small, large.data(), dynamic},
-                  scratch.data(), out.data());
+                  static_cast<int>(out.shape(1)), grid, active.data(), start.data(),
+                  Penalties{small, large.data(), dynamic}, paths, scratch.data(), out.data());
       },
       free_lock);
 
@@ -120,10 +122,12 @@ void bind_multiview(nb::module_& m) {
       "votes",
       [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> costs, In<uint16_t, 3> disparities,
          In<uint8_t, 3> confidence, In<uint8_t, 2> is_static, const Grid& grid, In<uint64_t, 2> active,
-         In<int32_t, 1> start, int skip, int base, int gain, int hide, int volume, Out<uint8_t, 2> out) {
+         In<int32_t, 1> start, int skip, int base, int gain, int hide, int volume, bool visible,
+         Out<uint8_t, 2> out) {
         const Array array = array_of(offsets, cx, cy, is_static.shape(0), is_static.shape(1));
         votes(array, costs.data(), disparities.data(), confidence.data(), is_static.data(), grid,
-              Chunks{active.data(), start.data()}, skip, VoteWeights{base, gain, hide, volume}, out.data());
+              Chunks{active.data(), start.data()}, skip, VoteWeights{base, gain, hide, volume, visible},
+              out.data());
       },
       free_lock);
 

@@ -12,8 +12,13 @@ constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
 constexpr int kBlock = 64;  // columns that are matched together, and empty columns on either side of a row
 
-constexpr int kChunk = 16;       // candidates.py CHUNK
+// What of the grid every pixel is matched at (candidates.py Candidates).
+constexpr int kChunk = 16;
 constexpr int kMostChunks = 64;  // bits of a pixel's active chunks
+struct Chunks {
+  const uint64_t* active;  // [H, W]
+  const int32_t* start;    // [H W + 1]
+};
 
 // disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height,
 // width].
@@ -49,12 +54,6 @@ struct FeatureRows {
 void census(const Array& array, const uint8_t* colour, const uint8_t* is_static, const int32_t* cubic,
             const int32_t* luma, int stride, uint8_t* planes, uint64_t* unclear);
 
-// What of the grid every pixel is matched at (candidates.py Candidates).
-constexpr int kChunk = 16;
-struct Chunks {
-  const uint64_t* active;  // [H, W]
-  const int32_t* start;    // [H W + 1]
-};
 void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start);
 
 struct PairCostParams {
@@ -72,17 +71,13 @@ struct Penalties {
   const uint16_t* large;  // [766], by the colour step
   int dynamic;
 };
-// image uint8 [H, W, 3]. `scratch` uint16 [H, W, count] need not be set. out uint16 [H, W], before the
-// median.
+// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3];
+// paths 8 or
+// 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W], before the median.
+size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
 void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
-               const Grid& grid, const Penalties& penalties, uint16_t* scratch, uint16_t* out);
-
-// What of the grid every pixel is matched at (candidates.py Candidates).
-constexpr int kChunk = 16;
-struct Chunks {
-  const uint64_t* active;  // [H, W]
-  const int32_t* start;    // [H W + 1]
-};
+               const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
+               int paths, uint16_t* scratch, uint16_t* out);
 
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
@@ -98,6 +93,7 @@ void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* 
 
 struct VoteWeights {
   int base, gain, hide, volume;
+  bool visible;  // else there are no votes on static pixels, whose energies are not written
 };
 // confidence uint8 [K, H, W] in 20ths; is_static uint8 [H, W] of the view. costs uint8 [n, kChunk]; out
 // likewise, may be `costs`.

@@ -291,7 +291,9 @@ struct Ballot {
              const VoteWeights& weights, uint8_t* out) {
     const size_t at = static_cast<size_t>(y) * poll.array.width + from;
     const int width = to - from;
-    const uint64_t* active = chunks.active + at;
+    uint64_t active[kBlock];  // chunks that there are votes on
+    for (int x = 0; x < width; ++x)
+      active[x] = weights.visible || !is_static[at + x] ? chunks.active[at + x] : uint64_t{0};
     alignas(64) int32_t row[kBlock];  // of the volume, the last that is done
     std::copy_n(chunks.start + at + 1, width, row);
     const bool blind = std::find(is_static + at, is_static + at + width, 0) != is_static + at + width;

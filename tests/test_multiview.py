@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,11 +16,34 @@ from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.frames import Frame
 from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
 from seepast.pipeline import Clock
+from seepast.surfaces import static_span, surfaces
 
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
 FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
 VOLUME_GRIDS = (DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 80))
+STEEPEST = Penalties.of(200, 1000, 1000, 1000)  # the largest that options allow
+KINDS = ("all", "random", "clustered", "holes")
+
+
+def some_candidates(grid: DisparityGrid, shape: tuple[int, int], kind: str) -> Candidates:
+    """Every pixel at all chunks; at any that chance will; at a run of them that moves slowly, and here and there
+    another; or at that one in blocks, and not at all in between."""
+    chunks, rng = grid.count // CHUNK, np.random.default_rng(grid.count)
+    whole = np.uint64((1 << chunks) - 1)
+    if kind == "all":
+        return Candidates.all(grid, shape)
+    if kind == "random":
+        return Candidates.of(grid, np.maximum(rng.integers(0, 1 << 64, shape, np.uint64) & whole, np.uint64(1)))
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    first, second = (((x // 13 + y // 7 + more) * 5 % chunks).astype(np.uint64) for more in (0, 2))
+    near = np.uint64(1) << first | np.uint64(2) << first
+    active = (near | np.where(x % 11 < 4, np.uint64(1) << second, np.uint64(0))) & whole
+    if kind == "holes":
+        active[(x // 9 + y // 5) % 3 == 1] = 0
+    return Candidates.of(grid, active)
+
+
 GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
 
 SCENES = {
@@ -112,28 +136,14 @@ def word(planes: np.ndarray) -> np.ndarray:
     return (planes.astype(np.uint32) << np.array([0, 8, 16], np.uint32)[:, None, None]).sum(1, dtype=np.uint32)
 
 
-def masks_of(kind: str, grid: DisparityGrid, shape: tuple[int, int]) -> Candidates:
-    """Every pixel at all chunks; at any that chance will; or at a run of them that moves slowly, and another."""
-    chunks, rng = grid.count // CHUNK, np.random.default_rng(8)
-    if kind == "all":
-        return Candidates.all(grid, shape)
-    if kind == "random":
-        active = rng.integers(0, 1 << min(chunks, 63), shape, np.uint64)
-        return Candidates.of(grid, np.where(active == 0, np.uint64(1 << (chunks - 1)), active))
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    first = ((x // 23 + y // 7) % chunks).astype(np.uint64)
-    second = np.where(x % 40 < 9, (first + np.uint64(2)) % np.uint64(chunks), first)
-    return Candidates.of(grid, np.uint64(1) << first | np.uint64(1) << second)
-
-
 @every_scene
-@pytest.mark.parametrize("masks", ["all", "random", "clustered"])
-def test_volume(name, masks):
+@pytest.mark.parametrize("kind", KINDS)
+def test_volume(name, kind):
     c = case(name)
     features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
     for k in c.some_views:
         for grid in VOLUME_GRIDS:
-            candidates = masks_of(masks, grid, c.static.shape[1:])
+            candidates = some_candidates(grid, c.static.shape[1:])
             assert_same(
                 *(b.volume(f, c.views[k], candidates, COSTS) for b, f in zip((reference, cpu), features, strict=True))
             )
@@ -155,12 +165,37 @@ def test_chunk_starts(chunks, shape):
 
 
 @every_scene
-@pytest.mark.parametrize("grid", GRIDS[:1] + GRIDS[2:], ids=str)
-@pytest.mark.parametrize("penalties", [FIRST, FINAL], ids=["first", "final"])
-def test_aggregate(name, grid, penalties):
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("paths", [8, 4])
+def test_aggregate(name, kind, paths):
     c = case(name)
-    costs = np.ascontiguousarray(c.noise[..., : grid.count])
-    assert_same(*(b.aggregate(costs, c.colour[0], c.static[0], grid, penalties) for b in (reference, cpu)))
+    rng = np.random.default_rng(7)
+    shape = c.static.shape[1:]
+    for chunks, penalties in ((1, FIRST), (3, FINAL), (8, FIRST), (64 if shape[0] * shape[1] < 1500 else 11, STEEPEST)):
+        grid = DisparityGrid(3, 1 + 16 // chunks, 16 * chunks)
+        candidates = some_candidates(grid, shape, kind)
+        costs = rng.integers(0, 256, (candidates.start[-1], CHUNK), np.uint8)
+        if chunks == 8:
+            costs = np.minimum(costs // 40, 3)  # many equal sums
+        if chunks == 3:
+            costs |= 192  # paths whose costs gather fast
+        assert_same(
+            *(
+                b.aggregate(costs, c.colour[0], c.static[0], candidates, penalties, paths, c.disparities[0])
+                for b in (reference, cpu)
+            )
+        )
+
+
+def test_long_paths_keep_their_numbers_small():
+    """Where all is dear, costs gather along the path: over 700 pixels they would leave 16 bits."""
+    rng = np.random.default_rng(1)
+    for shape in ((3, 700), (700, 3)):
+        candidates = some_candidates(DisparityGrid(0, 4, 64), shape, "clustered")
+        costs = rng.integers(200, 256, (candidates.start[-1], CHUNK), np.uint8)
+        image = rng.integers(0, 256, (*shape, 3), np.uint8)
+        found = [b.aggregate(costs, image, np.ones(shape, bool), candidates, STEEPEST) for b in (reference, cpu)]
+        assert_same(*found)
 
 
 @every_scene
@@ -173,35 +208,19 @@ def test_witnesses_and_labels(name, skip):
         assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48) for b in (reference, cpu)))
 
 
-def some_candidates(grid: DisparityGrid, shape: tuple[int, int], kind: str) -> Candidates:
-    """Every pixel at all of the grid, at any chunks, or at runs of chunks that neighbours share."""
-    chunks = grid.count // CHUNK
-    if kind == "all":
-        return Candidates.all(grid, shape)
-    rng = np.random.default_rng(chunks)
-    asked = rng.random((*shape, chunks)) < 0.3
-    if kind == "clustered":
-        places = rng.integers(0, chunks, (-(-shape[0] // 7), -(-shape[1] // 19), 2)).repeat(7, 0).repeat(19, 1)
-        places = places[: shape[0], : shape[1], :, None]
-        asked = (np.abs(np.arange(chunks) - places) <= rng.integers(0, 2, (*shape, 1, 1))).any(-2)
-    asked[..., 0] |= ~asked.any(-1)
-    words = asked.astype(np.uint64) << np.arange(chunks, dtype=np.uint64)
-    return Candidates.of(grid, np.bitwise_or.reduce(words, -1))
-
-
 VOTED = (DisparityGrid(29, 8, 32), DisparityGrid(0, 3, 160), DisparityGrid(3, 1, 48), DisparityGrid(0, 20, 112))
 
 
 @every_scene
 @pytest.mark.parametrize("grid", VOTED, ids=str)
-@pytest.mark.parametrize("kind", ["all", "random", "clustered"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_votes(name, grid, kind):
     c = case(name)
     candidates = some_candidates(grid, c.static.shape[1:], kind)
     costs = np.random.default_rng(1).integers(0, 256, (candidates.start[-1], CHUNK), np.uint8)
     rough = np.random.default_rng(2).integers(0, grid.values[-1] * UNITS, c.static.shape).astype(np.uint16)
     for k, skip in ((0, 0), (c.geometry.reference, -1)):
-        for weights in (WEIGHTS, VoteWeights(7680, 3, 6, 128)):
+        for weights in (WEIGHTS, VoteWeights(7680, 3, 6, 128), replace(WEIGHTS, visible=False)):
             for d in (c.disparities, rough):
                 given = d, c.confidence, c.static[k], c.views[k], candidates, skip, weights
                 expected = reference.votes(costs, *given)
@@ -312,30 +331,22 @@ def test_planes_straighten_slants():
     assert np.array_equal(found[~strip], d[~strip])
 
 
-def static_range(scene, static):
+def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
-    scale = multiview.coarseness(scene.geometry, options)
-    search = multiview.search_range(scene.geometry, options)
-    colour = multiview.three_channels(scene.colour)
-    seen = multiview.surfaces(colour, scene.geometry, search, scale, options.multiview, cpu)
-    return multiview.static_range(seen, scale, static, scene.geometry, options)
+    seen = surfaces(multiview.three_channels(scene.colour), scene.geometry, options, cpu)
+    return static_span(seen, scene.dynamic <= 127, scene.geometry, options)
 
 
-def test_range_of_the_static_scene():
-    scene = make_scene(5, (140, 64), colour=True)  # the wall is at 12 px, the person at 44
-    static = scene.dynamic <= 127
-    grid = static_range(scene, static)
-    assert grid.values[0] <= 10
-    assert 14 <= grid.values[-1] <= 34
-    assert grid.count % multiview.LANES == 0
+def test_span_of_the_static_scene():
+    low, high = span_of(make_scene(5, (140, 64), colour=True))  # the wall is at 12 px, the person at 44
+    assert low <= 10
+    assert 14 <= high <= 34
 
 
-def test_range_where_nothing_is_sure_is_the_whole_search():
-    scene = make_scene(3, (120, 60), masks="all", colour=True)
-    static = scene.dynamic <= 127
-    grid = static_range(scene, static)
-    assert grid.values[0] == 0
-    assert grid.values[-1] >= 60
+def test_span_where_nothing_is_sure_is_the_whole_search():
+    low, high = span_of(make_scene(3, (120, 60), masks="all", colour=True))
+    assert low == 0
+    assert high >= 60
 
 
 def test_camera_pairs():

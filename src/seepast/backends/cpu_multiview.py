@@ -64,25 +64,33 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
 
 
 def aggregate(
-    costs: np.ndarray, image: np.ndarray, static: np.ndarray, grid: DisparityGrid, penalties: Penalties
+    costs: np.ndarray,
+    image: np.ndarray,
+    static: np.ndarray,
+    candidates: Candidates,
+    penalties: Penalties,
+    paths: int = 8,
+    otherwise: np.ndarray | None = None,
 ) -> np.ndarray:
     out = np.empty(static.shape, np.uint16)
+    scratch = _scratch(_core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs)))
     _core.aggregate(
-        costs, image, _bytes(static), _grid(grid), penalties.small, penalties.large, penalties.dynamic,
-        _scratch(costs.shape), out,
+        costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
+        penalties.large, penalties.dynamic, paths, scratch, out,
     )  # fmt: skip
+    if otherwise is not None:
+        np.copyto(out, otherwise, where=candidates.active == 0)
     return cv2.medianBlur(out, 5)
 
 
 _kept = threading.local()
 
 
-def _scratch(shape: tuple[int, ...]) -> np.ndarray:
-    """uint16 of this shape, the same memory for every call of a thread: fresh pages would cost more than the sums."""
-    size = int(np.prod(shape))
+def _scratch(size: int) -> np.ndarray:
+    """uint16 [size], the same memory for every call of a thread: fresh pages would cost more than the sums."""
     if getattr(_kept, "sums", None) is None or _kept.sums.size < size:
         _kept.sums = np.empty(size, np.uint16)
-    return _kept.sums[:size].reshape(shape)
+    return _kept.sums[:size]
 
 
 def witnesses(
@@ -129,10 +137,12 @@ def votes(
     out: np.ndarray | None = None,
 ) -> np.ndarray:
     """`out`, where the energies go, may be `costs`."""
-    out = np.empty_like(costs) if out is None else out
+    if out is None:
+        out = np.empty_like(costs) if weights.visible else costs.copy()
     _core.votes(
         geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(candidates.grid),
-        candidates.active, candidates.start, skip, weights.base, weights.gain, weights.hide, weights.volume, out,
+        candidates.active, candidates.start, skip, weights.base, weights.gain, weights.hide, weights.volume,
+        weights.visible, out,
     )  # fmt: skip
     return out
 

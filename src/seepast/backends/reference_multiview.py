@@ -201,20 +201,35 @@ def smaller_half(costs: list[np.ndarray]) -> np.ndarray:
 # ---------------------------------------------------------------------------------------------- aggregate
 
 
+INACTIVE = 1 << 20  # cost of a candidate that a pixel is not matched at: more than any path's
+
+
 def aggregate(
-    costs: np.ndarray, image: np.ndarray, static: np.ndarray, grid: DisparityGrid, penalties: Penalties
+    costs: np.ndarray,
+    image: np.ndarray,
+    static: np.ndarray,
+    candidates: Candidates,
+    penalties: Penalties,
+    paths: int = 8,
+    otherwise: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Semi-global matching along 8 paths (Hirschmueller 2008), then a 5x5 median: uint16 [H, W] in 32nds of a pixel.
+    """Semi-global matching along 8 paths, or 4: left, right, up, down (Hirschmueller 2008), then a 5x5 median.
 
     L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q), with q the pixel before p on the
-    path. image uint8 [H, W, 3]: P2 falls with the colour step between p and q; static bool [H, W].
+    path; candidates that are not active at a pixel cost more than any path. costs uint8 [n, CHUNK]; image uint8
+    [H, W, 3]: P2 falls with the colour step between p and q; static bool [H, W]. Pixels that are not matched
+    at all take what `otherwise` has, and paths begin anew behind them. uint16 [H, W] in 32nds of a pixel.
     """
-    total = np.zeros(costs.shape, np.int32)
+    active = candidates.mask
+    dense = np.full(active.shape, INACTIVE, np.int32)
+    dense[active] = costs.reshape(-1)
+    total = np.zeros(active.shape, np.int32)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
-            if dy or dx:
-                total += path_costs(costs.astype(np.int32), image, static, penalties, dy, dx)
-    return cv2.medianBlur(winner(total, grid), 5)
+            if 0 < dy * dy + dx * dx <= paths // 4:  # 4: no diagonals
+                total += path_costs(dense, image, static, penalties, dy, dx)
+    found = winner(total, active, candidates.grid)
+    return cv2.medianBlur(found if otherwise is None else np.where(active.any(-1), found, otherwise), 5)
 
 
 def path_costs(costs, image, static, penalties: Penalties, dy: int, dx: int) -> np.ndarray:
@@ -239,16 +254,16 @@ def path_costs(costs, image, static, penalties: Penalties, dy: int, dx: int) -> 
     return out
 
 
-def winner(total: np.ndarray, grid: DisparityGrid) -> np.ndarray:
-    """First lowest candidate, moved to the vertex of the parabola through it and its neighbours."""
+def winner(total: np.ndarray, active: np.ndarray, grid: DisparityGrid) -> np.ndarray:
+    """First lowest candidate, moved to the vertex of the parabola through it and its neighbours if both are active."""
     best = total.argmin(-1)
-    at = lambda i: np.take_along_axis(total, i.clip(0, grid.count - 1)[..., None], -1)[..., 0]  # noqa: E731
-    lowest, left, right = at(best), at(best - 1), at(best + 1)
+    at = lambda a, i: np.take_along_axis(a, i.clip(0, grid.count - 1)[..., None], -1)[..., 0]  # noqa: E731
+    lowest, left, right = at(total, best), at(total, best - 1), at(total, best + 1)
     bend = left + right - 2 * lowest
     half = UNITS // 16 * grid.step  # of the spacing of candidates
     # floor(half (left - right) / bend + 1/2), kept positive for integer division
     moved_by = (2 * half * (left - right + bend) + bend) // np.maximum(2 * bend, 1) - half
-    inner = (best > 0) & (best < grid.count - 1) & (bend > 0)
+    inner = (best > 0) & (best < grid.count - 1) & at(active, best - 1) & at(active, best + 1) & (bend > 0)
     place = UNITS // 8 * (grid.first + grid.step * best) + np.where(inner, moved_by, 0)
     return place.astype(np.uint16)
 
@@ -339,6 +354,7 @@ def votes(
     v = sum c min(1, (|e| - 1) / 2) over e < 0. A supported candidate hides those behind it, where the view itself
     does not see: o(d) = max over the pixel's candidates d' >= d + 2 of max(0, s(d') - v(d')).
     E = max(0, base - gain min(s, 2) + gain min(v, 2) + hide min(o, 1)) + volume_weight * costs.
+    Without weights.visible, what the view sees itself keeps its costs.
 
     static bool [H, W] of the view. s, v and o are counted in units of 1 / FULL_VOTE, E in 128ths.
     """
@@ -365,7 +381,9 @@ def votes(
         energy = (np.maximum(0, energy + hide * np.minimum(nearer, FULL_VOTE)) + 64) >> 7
         energies[..., i] = np.minimum(255, energy)
     parts = (costs.astype(np.int32) * weights.volume + 64) >> 7
-    return np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts).astype(np.uint8)
+    found = np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts).astype(np.uint8)
+    own = np.repeat(static.ravel() & (not weights.visible), np.diff(candidates.start))
+    return np.where(own[:, None], costs, found)
 
 
 def vote_of(disparity, confidence, geometry, k, x, y, d) -> tuple[np.ndarray, np.ndarray]:
