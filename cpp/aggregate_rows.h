@@ -184,7 +184,7 @@ void places(const Row& r) {
 }
 
 // Path costs are kept above their lowest by what has gathered on the path; rarely that is taken away, so that
-// they stay far below kBeyond.
+// they stay far below kBeyond. Also what makes paths begin anew behind a pixel that is not matched.
 __attribute__((noinline)) void settle(int16_t* entries, uint64_t active, int16_t* lowest) {
   for (; active; active &= active - 1) {
     int16_t* e = entries + __builtin_ctzll(active) * kChunk;
@@ -267,7 +267,7 @@ void steps_of_row(const Row& r) {
     for (int p = 0; p <= kVertical; ++p)
       wide_far[p] = doubled(far[p], far[p]), wide_minimum[p] = doubled(minimum[p], minimum[p]);
 #endif
-    do {
+    while (active) {
       const size_t at = static_cast<size_t>(__builtin_ctzll(active)) * kChunk;
       const uint64_t rest = active & (active - 1);
 #ifdef SEEPAST_AVX512
@@ -286,7 +286,7 @@ void steps_of_row(const Row& r) {
                                 load(along + at), least_beside_fresh(along + at), along_to + at),
            at);
       active = rest;
-    } while (active);
+    }
 #ifdef SEEPAST_AVX512
     for (int p = 0; p <= kVertical; ++p)
       minimum[p] = least(minimum[p], least(lower(wide_minimum[p]), upper(wide_minimum[p])));

@@ -143,7 +143,7 @@ def test_volume(name, kind):
     features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
     for k in c.some_views:
         for grid in VOLUME_GRIDS:
-            candidates = some_candidates(grid, c.static.shape[1:])
+            candidates = some_candidates(grid, c.static.shape[1:], kind)
             assert_same(
                 *(b.volume(f, c.views[k], candidates, COSTS) for b, f in zip((reference, cpu), features, strict=True))
             )

@@ -47,8 +47,8 @@ class Candidates:
 
     grid    grid.count is a multiple of CHUNK, at most 64 of them
     active  uint64 [H, W], bit j: candidates CHUNK j .. CHUNK (j + 1) - 1. A pixel without any is not matched at all
-    start   int32 [H W + 1]: pixel y W + x owns rows start[p] .. start[p + 1] - 1 of a volume uint8 [start[-1], CHUNK],
-            its chunks from the farthest (j lowest) on
+    start   int32 [H W + 1]: the chunks of pixel p = y W + x are the rows of a volume uint8 [start[-1], CHUNK] from
+            start[p] on, the farthest (lowest j) first
     """
 
     grid: DisparityGrid
@@ -68,10 +68,20 @@ class Candidates:
         active = np.full(shape, (1 << chunks) - 1, np.uint64)
         return Candidates(grid, active, chunks * np.arange(active.size + 1, dtype=np.int32))
 
+    def where(self, wanted: np.ndarray) -> Candidates:
+        """Those of the pixels of `wanted`, bool [H, W]: rows of the same volume."""
+        return Candidates(self.grid, np.where(wanted, self.active, np.uint64(0)), self.start)
+
     @property
     def chunks(self) -> int:
-        """Of all pixels."""
+        """Rows of a volume."""
         return int(self.start[-1])
+
+    @property
+    def rows(self) -> np.ndarray:
+        """Rows of the active chunks, pixel by pixel: int [n]."""
+        mask = self.mask[..., ::CHUNK].reshape(self.active.size, -1)
+        return (self.start[:-1, None] + mask.cumsum(1) - 1)[mask]
 
     @property
     def mask(self) -> np.ndarray:

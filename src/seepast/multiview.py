@@ -18,10 +18,10 @@ from . import backends
 from .candidates import Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import Level, Views, beside, landings, level_grid, scales
+from .levels import Level, Views, beside, enlarged, landings, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
-from .people import refine_people
+from .people import refine_people, trusted
 from .surfaces import static_span, surfaces
 
 AROUND = 16  # px around what is asked for that is matched too
@@ -50,8 +50,9 @@ def see_past(
     dynamic = frame.dynamic
     if options.people.enabled:
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
-            whole = seen.at_full_size(dynamic.shape[1:])
-            dynamic = refine_people(frame, whole, geometry, options.people, backends.people(backend))
+            if not trusted(frame.dynamic, seen, geometry, options.people, backends.people(backend)):
+                whole = seen.at_full_size(dynamic.shape[1:])
+                dynamic = refine_people(frame, whole, geometry, options.people, backends.people(backend))
     static = dynamic <= 254 * (1 - o.threshold)
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options)
@@ -121,7 +122,8 @@ def at_level(
     colour, static, views = level.colour, level.static, level.views
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
-        area = None if before is None else asked_for(before, level, o, dynamic_only)
+        hides = None if before is None else around_people(before)
+        area = asked_for(hides, level, o, dynamic_only)
         candidates = [around(before, area, k, level, grid, o, backend) for k in range(K)]
         found = np.zeros(static.shape, np.uint16) if before is None else before.at(level)
         matched = [k for k in range(K) if candidates[k].chunks]
@@ -135,12 +137,15 @@ def at_level(
     for once_more in range(o.rounds):
         better = seen.disparity.copy()
         for k in matched:
-            energy = costs[k]
-            if once_more:
-                with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2: what the others saw
-                    energy = voted(energy, candidates[k], k, seen, views[k], VoteWeights.of(o), backend)
+            energy, polled = costs[k], candidates[k]
+            if once_more:  # with what the others saw; the other views are heard on what is hidden only
+                with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
+                    if hides is not None and k != r:
+                        polled = polled.where(finer(hides[k], before, level))
+                    energy = voted(energy, polled, k, seen, views[k], VoteWeights.of(o), backend)
             with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
-                better[k] = backend.aggregate(energy, colour[k], static[k], candidates[k], first, o.paths, found[k])
+                kept = seen.disparity[k]
+                better[k] = backend.aggregate(energy, colour[k], static[k], polled, first, o.paths, kept)
         seen = confirmed(better, level, o, backend, clock)
     if r in matched:
         everywhere = area is None or bool(area.all())
@@ -189,20 +194,30 @@ def wanted_view(
     return d
 
 
-def asked_for(before: Views, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray:
-    """Where the next finer level is matched: bool [K, h, w] in the pixels of `before`.
+def around_people(found: Views) -> np.ndarray:
+    """Where what people hide from the wanted view lies in every view, and around: bool [K, h, w]."""
+    level = found.level
+    r = level.geometry.reference
+    d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
+    return beside(landings(~level.static[r], d, level.geometry), -(-AROUND // level.scale))
+
+
+def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
+    """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
     Everywhere; or, at full size without fine_views, the other views only around what people hide from the wanted
     one; with dynamic_only that one too.
     """
-    r, static = before.level.geometry.reference, before.level.static
-    if not dynamic_only and (o.fine_views or level.scale > 1):
-        return np.ones(static.shape, bool)
-    reach = -(-AROUND // before.level.scale)
-    d = before.disparity[r].astype(np.float32) / np.float32(UNITS)
-    area = beside(landings(~static[r], d, before.level.geometry), reach)
-    area[r] |= not dynamic_only
+    if hides is None:
+        return None
+    area = hides.copy() if dynamic_only or not (o.fine_views or level.scale > 1) else np.ones_like(hides)
+    area[level.geometry.reference] |= not dynamic_only
     return area
+
+
+def finer(area: np.ndarray, before: Views, level: Level) -> np.ndarray:
+    """bool [h, w] of the coarser level in the pixels of this one."""
+    return enlarged(area[None], before.level.scale // level.scale, level.static.shape[1:])[0]
 
 
 def around(

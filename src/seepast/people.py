@@ -22,8 +22,11 @@ import numpy as np
 
 from .frames import Frame
 from .geometry import ArrayGeometry
+from .levels import reduced
+from .many import UNITS
 from .options import PeopleOptions
 from .rectify import NO_RAY
+from .surfaces import Surfaces
 
 NO_SAY = 255  # in `saw`: this camera does not see the surface
 POOLED = 64  # steps per 254th of a pooled P
@@ -35,6 +38,7 @@ NATS = 256  # steps per nat in the field
 MAX_COST = 11.5  # nats: eight of them and MAX_POTENTIAL stay within an int16
 MAX_POTENTIAL = 30.0  # nats
 MAX_RATIO = 3.0  # nats that one learnt ratio may say
+SPARSE = 4  # every so many-th pixel says enough on whether masks agree
 BLOCK = 8  # lattice pixels per block of colour moments
 MOMENTS = 14  # 1, b, g, r, bb, bg, br, gg, gr, rr; and of people's pixels 1, b, g, r
 
@@ -87,7 +91,7 @@ def refine_people(
     Masks that agree with one another on nearly every surface point are exact already, and come back as they are.
     """
     saw = backend.witnesses(frame.dynamic, surfaces, geometry, options.same_surface)
-    if disagreement(saw) <= options.trusted:
+    if disagreement(saw[:, ::SPARSE, ::SPARSE]) <= options.trusted:
         return frame.dynamic
     stride = max(1, round(geometry.size[0] / options.working_width))
     region = object_region(saw, surfaces, geometry, stride, options, backend)
@@ -120,12 +124,28 @@ def lattice(plane: np.ndarray, stride: int) -> np.ndarray:
 # --------------------------------------------------------------------------------------- who is there at all
 
 
+def trusted(
+    dynamic: np.ndarray, seen: Surfaces, geometry: ArrayGeometry, options: PeopleOptions, backend: ModuleType
+) -> bool:
+    """Whether the masks are exact, by a look at reduced views: then there is nothing to refine, or to look closer at.
+
+    dynamic uint8 [K, H, W] of full-size views. False where reduced views cannot tell.
+    """
+    if seen.scale == 1:
+        return False
+    small = reduced(geometry, seen.scale)
+    height, width = seen.disparity.shape[1:]
+    there = np.ascontiguousarray(lattice(dynamic, seen.scale)[:, :height, :width])
+    surfaces = seen.disparity.astype(np.float32) / np.float32(UNITS)
+    saw = backend.witnesses(there, surfaces, small, options.same_surface / seen.scale)
+    return disagreement(saw[:, :: max(1, SPARSE // seen.scale), :: max(1, SPARSE // seen.scale)]) <= options.trusted
+
+
 def disagreement(saw: np.ndarray) -> float:
     """How far the views' masks differ on common surface points: sum |P_k - P_j| / sum max(P_k, P_j), in 0..1.
 
     Exact masks differ only where a surface is wrong, by some per cent; 0 where nobody says anything.
     """
-    saw = saw[:, ::4, ::4]  # a sample says enough
     low = high = 0
     for k in range(len(saw)):
         own = saw[k, ..., k]

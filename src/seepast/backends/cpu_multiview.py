@@ -138,7 +138,7 @@ def votes(
 ) -> np.ndarray:
     """`out`, where the energies go, may be `costs`."""
     if out is None:
-        out = np.empty_like(costs) if weights.visible else costs.copy()
+        out = costs.copy()
     _core.votes(
         geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(candidates.grid),
         candidates.active, candidates.start, skip, weights.base, weights.gain, weights.hide, weights.volume,

@@ -222,7 +222,7 @@ def aggregate(
     """
     active = candidates.mask
     dense = np.full(active.shape, INACTIVE, np.int32)
-    dense[active] = costs.reshape(-1)
+    dense[active] = costs[candidates.rows].reshape(-1)
     total = np.zeros(active.shape, np.int32)
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):
@@ -354,7 +354,7 @@ def votes(
     v = sum c min(1, (|e| - 1) / 2) over e < 0. A supported candidate hides those behind it, where the view itself
     does not see: o(d) = max over the pixel's candidates d' >= d + 2 of max(0, s(d') - v(d')).
     E = max(0, base - gain min(s, 2) + gain min(v, 2) + hide min(o, 1)) + volume_weight * costs.
-    Without weights.visible, what the view sees itself keeps its costs.
+    Without weights.visible, what the view sees itself keeps its costs, as rows of no candidate do.
 
     static bool [H, W] of the view. s, v and o are counted in units of 1 / FULL_VOTE, E in 128ths.
     """
@@ -380,10 +380,12 @@ def votes(
         energy = weights.base + weights.gain * (np.minimum(v, 2 * FULL_VOTE) - np.minimum(s, 2 * FULL_VOTE))
         energy = (np.maximum(0, energy + hide * np.minimum(nearer, FULL_VOTE)) + 64) >> 7
         energies[..., i] = np.minimum(255, energy)
-    parts = (costs.astype(np.int32) * weights.volume + 64) >> 7
-    found = np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts).astype(np.uint8)
-    own = np.repeat(static.ravel() & (not weights.visible), np.diff(candidates.start))
-    return np.where(own[:, None], costs, found)
+    parts = (costs[candidates.rows].astype(np.int32) * weights.volume + 64) >> 7
+    found = np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts)
+    polled = asked[..., ::CHUNK] & (~static | weights.visible)[..., None]
+    out = costs.copy()
+    out[candidates.rows[polled[asked[..., ::CHUNK]]]] = found[polled[asked[..., ::CHUNK]]]
+    return out
 
 
 def vote_of(disparity, confidence, geometry, k, x, y, d) -> tuple[np.ndarray, np.ndarray]:
