@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import signal
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from . import __version__
+from .commands.console import EXIT_ERROR
 from .commands.console import count as _count
 from .commands.console import progress as _progress
+from .commands.console import say_error as _say_error
 from .commands.export import export
-from .commands.segmenting import Classes, SegmenterName, opened_segmenter
-from .commands.source import GUESSED, Source
-from .commands.watching import UNSEEN, Viewing
-from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
-from .options import DEFAULT_PRESET
+from .commands.run import Flag, Masks, run
+from .errors import SeepastError
 
-if TYPE_CHECKING:
-    from .sequence import Summary
-
-EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 USAGE = """Usage: seepast COMMAND, for example
 
@@ -38,6 +32,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast run walk.bag --out out --masks none   ROS bag, EuRoC, videos
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
+  seepast run --settings out/run.json --out again    the same run again
   seepast evaluate recording out                how right, where truth is known
   seepast view out                              in the browser; --save out.rrd
   seepast refocus recording --out out --depth 5 plain synthetic aperture
@@ -67,102 +62,9 @@ app = App(
     version_flags=["--version"],
 )
 
-Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 Range = Annotated[tuple[float, float] | None, Parameter(negative=(), show_default=False)]
 Backend = Literal["auto", "cpu", "reference"]
-Masks = Annotated[
-    str | None,
-    Parameter(
-        help="Folder of masks in the dataset (default: masks); 'none': no masks; in ROS bags also topics:A,B,C.",
-        show_default=False,
-    ),
-]
-
-
-@app.command
-def run(
-    dataset: Path,
-    /,
-    *,
-    out: Path,
-    masks: Masks = None,
-    segmenter: SegmenterName = None,
-    classes: Classes = None,
-    preset: str = DEFAULT_PRESET,
-    reference: str = "cam0",
-    backend: Backend = "auto",
-    dynamic_only: Flag = False,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), show_default=False)] = None,
-    threads: int = 0,
-    overwrite: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
-    source: Source = GUESSED,
-    viewing: Viewing = UNSEEN,
-) -> int:
-    """Reconstruct the static scene of every frame of a recording.
-
-    A run that was interrupted goes on where it stopped when the same command is given again.
-
-    Parameters
-    ----------
-    dataset
-        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or a ROS bag, an EuRoC folder, videos cam0.mp4 ..., a
-        Middlebury folder; or a folder of such: each goes to OUT/<its name>.
-    out
-        Output folder: background/ disparity/ depth/ coverage/ masks/ camera.yaml run.json.
-    preset
-        accurate: every camera a reference, then they vote; the best pictures, seconds a frame. paper: the stages of
-        Kaveti et al. 2020, ten times faster.
-    reference
-        The camera whose view is reconstructed.
-    backend
-        auto takes the fastest that works here; reference is the readable NumPy one.
-    dynamic_only
-        Synthesise only what people hide; all else keeps its own pixels. Faster.
-    set_
-        One option, stage.field=value; may be repeated.
-    threads
-        0: as many as there are cores.
-    overwrite
-        Replace the output of an earlier, different run.
-    json_
-        Print one line of JSON per recording instead of text.
-    """
-    from .datasets import NO_MASKS
-    from .options import Options
-    from .segment import SegmentedDataset
-    from .sequence import Settings, process
-
-    options = Options.preset(preset).updated(_assignments(set_ or []))
-    settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
-    network = opened_segmenter(segmenter, classes, masks, threads)
-    paths = source.find(dataset)
-    failed = 0
-    with viewing.watch(len(paths), overwrite) as watched:
-        for path in paths:
-            target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
-            try:
-                given = NO_MASKS if network else masks
-                recording = source.open(path, given)
-                if network:
-                    recording = SegmentedDataset(recording, network)
-                again = partial(source.open, path, given)
-                with (
-                    _progress(recording.name, len(recording.stamps)) as advance,
-                    watched.run(recording.name, target, again, advance) as on_frame,
-                ):
-                    summary = process(recording, target, settings, on_frame=on_frame)
-            except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
-                if len(paths) == 1:
-                    raise
-                failed += 1
-                _say_error(error)
-                continue
-            print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
-        watched.wait()
-    return EXIT_ERROR if failed else 0
-
-
+app.command(run)
 app.command("seepast.commands.check:check")
 app.command("seepast.commands.refocus:refocus")
 app.command("seepast.commands.epi:epi")
@@ -298,36 +200,11 @@ def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
     return 0
 
 
-def _assignments(words: Sequence[str]) -> dict[str, str]:
-    """["stage.field=value", ...] as a dict. Raises OptionsError."""
-    pairs: dict[str, str] = {}
-    for word in words:
-        name, equals, value = word.partition("=")
-        if not (name and equals and value):
-            raise OptionsError(f"--set {word}: write it as stage.field=value, for instance --set disparity.beta=0.01")
-        pairs[name.strip()] = value.strip()
-    return pairs
-
-
-def _summary_line(summary: Summary) -> str:
-    before = summary.frames - summary.computed
-    frames = _count(summary.frames, "frame") + (f" ({before} from before)" if before else "")
-    total = summary.milliseconds.get("total")
-    speed = "not timed" if total is None else f"{total:.0f} ms per frame"
-    share = summary.coverage_share
-    covered = "coverage unknown" if share is None else f"coverage {100 * share:.1f} %"
-    return f"{summary.name}: {frames}, {speed}, {covered}, {summary.out}"
-
-
 class _StderrHandler(logging.Handler):
     """Warnings in one line each, on the stderr of the moment (a progress bar redirects it)."""
 
     def emit(self, record: logging.LogRecord) -> None:
         print(f"seepast: {record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
-
-
-def _say_error(error: object) -> None:
-    print("seepast: error: " + " ".join(str(error).split()), file=sys.stderr, flush=True)
 
 
 class _Terminated(BaseException):

@@ -6,6 +6,8 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator
 
+EXIT_ERROR = 2
+
 
 @contextlib.contextmanager
 def progress(name: str, total: int) -> Iterator[Callable[[], None]]:
@@ -24,3 +26,8 @@ def progress(name: str, total: int) -> Iterator[Callable[[], None]]:
 
 def count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def say_error(error: object) -> None:
+    """One line on stderr."""
+    print("seepast: error: " + " ".join(str(error).split()), file=sys.stderr, flush=True)
