@@ -12,13 +12,19 @@ from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from . import __version__
-from .commands.console import EXIT_ERROR
+from .commands.check import check
+from .commands.completion import completion
+from .commands.console import EXIT_ERROR, Json, say
 from .commands.console import count as _count
 from .commands.console import progress as _progress
 from .commands.console import say_error as _say_error
+from .commands.epi import epi
 from .commands.export import export
+from .commands.models import models
+from .commands.refocus import refocus
 from .commands.run import Flag, Masks, run
+from .commands.version import version
+from .commands.view import view
 from .errors import SeepastError
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
@@ -32,13 +38,14 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast run walk.bag --out out --masks none   ROS bag, EuRoC, videos
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
-  seepast run --settings out/run.json --out again    the same run again
+  seepast run --settings out/run.json --out b   the same run again
   seepast evaluate recording out                how right, where truth is known
   seepast view out                              in the browser; --save out.rrd
   seepast refocus recording --out out --depth 5 plain synthetic aperture
   seepast epi recording --row 200 --out epi.png epipolar-plane image
   seepast export out --to tum                   for SLAM; also bags, PLY, EXR
   seepast synth made --rig rig.yaml --frames 10 --seed 1
+  seepast --version                             backends and extras there are
 """
 HELP = "\n\n".join(
     (
@@ -46,6 +53,7 @@ HELP = "\n\n".join(
         "A recording is a folder with rig.yaml (Kalibr), cam0/<stamp>.png, cam1/<stamp>.png ... and "
         "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic); or a ROS bag, an EuRoC folder, "
         "videos cam0.mp4 ..., a Middlebury folder.",
+        "Results go to stdout, one line of JSON each with --json; all else goes to stderr.",
         "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
         "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
     )
@@ -57,19 +65,20 @@ app = App(
     usage=USAGE,
     help=HELP,
     help_format="plaintext",
-    version=__version__,
     suppress_keyboard_interrupt=False,
-    version_flags=["--version"],
+    version_flags=[],
 )
 
 Range = Annotated[tuple[float, float] | None, Parameter(negative=(), show_default=False)]
 Backend = Literal["auto", "cpu", "reference"]
 app.command(run)
-app.command("seepast.commands.check:check")
-app.command("seepast.commands.refocus:refocus")
-app.command("seepast.commands.epi:epi")
-app.command("seepast.commands.view:view")
-app.command("seepast.commands.models:models")
+app.command(check)
+app.command(refocus)
+app.command(epi)
+app.command(view)
+app.command(models)
+app.command(completion)
+app.command(version, name="--version")
 app.command(export)
 
 
@@ -80,9 +89,14 @@ def evaluate(
     /,
     *,
     masks: Masks = None,
-    json_: Annotated[Path | None, Parameter(name="--json", show_default=False)] = None,
+    json_: Json = False,
 ) -> int:
     """Compare what `run` wrote with the truth of the dataset.
+
+    For example
+
+      seepast evaluate made out
+      seepast evaluate recordings out --masks masks_network --json
 
     Parameters
     ----------
@@ -90,18 +104,13 @@ def evaluate(
         Folder with truth/, or a folder of such folders.
     out
         What `run` wrote for it.
-    json_
-        Also write the figures to this file.
     """
     from .datasets import NO_MASKS
     from .evaluate import evaluate, table
 
     rows = evaluate(dataset, out, None if masks == NO_MASKS else masks or "masks")
-    print(table(rows))
-    if json_ is not None:
-        from .export.atomic import write_json
-
-        write_json(json_, {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()})
+    values = {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
+    say(table(rows), values, json_)
     return 0
 
 
@@ -122,8 +131,14 @@ def synth(
     gain: float = 0.03,
     grey: Flag = False,
     samples: int = 2,
+    json_: Json = False,
 ) -> int:
-    """Make an array recording with truth: a textured room, moving people, a moving rig with its lenses.
+    """Make a recording with truth: a room, moving people, lenses.
+
+    For example
+
+      seepast synth made --rig rig.yaml --frames 10 --seed 1
+      seepast synth made --rig rig.yaml --masks all --background-depth 4 9
 
     Parameters
     ----------
@@ -173,13 +188,21 @@ def synth(
             samples=samples,
             progress=lambda *_: advance(),
         )
-    print(f"{out.name}: {_count(frames, 'frame')}, {_count(figures, 'figure')}, seed {seed}, {out}")
+    values = {"name": out.name, "frames": frames, "figures": figures, "seed": seed, "path": str(out)}
+    say(f"{out.name}: {_count(frames, 'frame')}, {_count(figures, 'figure')}, seed {seed}, {out}", values, json_)
     return 0
 
 
 @app.command
-def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
-    """See past the people of a small sample that comes with seepast, and draw before and after.
+def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto", json_: Json = False) -> int:
+    """See past the people of a small sample; draw before and after.
+
+    For example
+
+      seepast demo
+      seepast demo --out somewhere --backend reference
+
+    The sample comes with seepast.
 
     Parameters
     ----------
@@ -192,11 +215,13 @@ def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
 
     done = run_demo(out, backend)
     milliseconds = done.summary.milliseconds["total"]
-    print(
+    text = (
         f"people hide {100 * done.hidden_share:.1f} % of the view; {100 * done.seen_share:.1f} % of that "
         f"comes back from other cameras, at {done.psnr:.1f} dB, in {milliseconds:.0f} ms"
     )
-    print(done.picture.resolve())
+    picture = str(done.picture.resolve())
+    shares = {"hidden_share": done.hidden_share, "seen_share": done.seen_share, "psnr": done.psnr}
+    say(f"{text}\n{picture}", {**done.summary.as_dict(), **shares, "picture": picture}, json_)
     return 0
 
 

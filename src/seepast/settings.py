@@ -112,7 +112,8 @@ def planned(flags: Mapping[str, Any], options: Mapping[str, Any], file: FileSett
     if "dataset" not in merged:
         raise OptionsError("DATASET: say which recording to run, or name it in the file of --settings as dataset: PATH")
     paths = {name: Path(merged.pop(name)) for name in ("dataset", "rig") if name in merged}
-    opening: dict[str, Any] = dict.fromkeys(("masks", "segmenter", "classes", "reader", "rig", "topics", "tolerance"))
+    unsaid = ("masks", "segmenter", "classes", "reader", "rig", "topics", "tolerance")
+    opening: dict[str, Any] = {name: None for name in unsaid}
     run_file = file.path if file.run else None
     return Plan(**{**opening, **merged, **paths}, options=chosen, run_file=run_file, earlier=file.run)
 

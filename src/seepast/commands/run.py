@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import Parameter
 
 from ..errors import DatasetError, InputError, OptionsError, RigError
-from .console import EXIT_ERROR, count, progress, say_error
+from .console import EXIT_ERROR, Json, count, progress, say, say_error
 from .segmenting import Classes, SegmenterName, opened_segmenter
 from .source import GUESSED, Source
 from .watching import UNSEEN, Viewing
@@ -48,7 +47,7 @@ def run(
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), show_default=False)] = None,
     threads: Annotated[int | None, Optional] = None,
     overwrite: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    json_: Json = False,
     source: Source = GUESSED,
     viewing: Viewing = UNSEEN,
 ) -> int:
@@ -89,8 +88,6 @@ def run(
         As many as there are cores, if not given.
     overwrite
         Replace the output of an earlier, different run.
-    json_
-        Print one line of JSON per recording instead of text.
     """
     from ..settings import FileSettings, planned, read_settings
 
@@ -147,7 +144,7 @@ def run_all(plan: Plan, out: Path, overwrite: bool, as_json: bool, viewing: View
                 failed += 1
                 say_error(error)
                 continue
-            print(json.dumps(summary.as_dict()) if as_json else summary_line(summary), flush=True)
+            say(summary_line(summary), summary.as_dict(), as_json)
         watched.wait()
     return EXIT_ERROR if failed else 0
 
