@@ -111,11 +111,10 @@ def planned(flags: Mapping[str, Any], options: Mapping[str, Any], file: FileSett
     chosen = Options.preset(merged.pop("preset", DEFAULT_PRESET)).updated({**file.options, **options})
     if "dataset" not in merged:
         raise OptionsError("DATASET: say which recording to run, or name it in the file of --settings as dataset: PATH")
-    paths = {name: Path(merged.pop(name)) for name in ("dataset", "rig") if name in merged}
-    unsaid = ("masks", "segmenter", "classes", "reader", "rig", "topics", "tolerance")
-    opening: dict[str, Any] = {name: None for name in unsaid}
-    run_file = file.path if file.run else None
-    return Plan(**{**opening, **merged, **paths}, options=chosen, run_file=run_file, earlier=file.run)
+    plan: dict[str, Any] = {name: None for name in ("masks", "segmenter", "classes", "reader", "topics", "tolerance")}
+    plan |= merged
+    plan["dataset"], plan["rig"] = Path(merged["dataset"]), Path(merged["rig"]) if "rig" in merged else None
+    return Plan(**plan, options=chosen, run_file=file.path if file.run else None, earlier=file.run)
 
 
 def read_settings(path: Path) -> FileSettings:
