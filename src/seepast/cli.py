@@ -23,6 +23,7 @@ from .commands.export import export
 from .commands.models import models
 from .commands.refocus import refocus
 from .commands.run import Flag, Masks, run
+from .commands.serve import serve
 from .commands.version import version
 from .commands.view import view
 from .errors import SeepastError
@@ -44,6 +45,7 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast refocus recording --out out --depth 5 plain synthetic aperture
   seepast epi recording --row 200 --out epi.png epipolar-plane image
   seepast export out --to tum                   for SLAM; also bags, PLY, EXR
+  seepast serve --rig rig.yaml --masks none     live, from and to ROS 2
   seepast synth made --rig rig.yaml --frames 10 --seed 1
   seepast --version                             backends and extras there are
 """
@@ -79,6 +81,7 @@ app.command(view)
 app.command(models)
 app.command(completion)
 app.command(version, name="--version")
+app.command(serve)
 app.command(export)
 
 
