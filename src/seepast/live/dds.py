@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from contextlib import suppress
 from typing import Any
@@ -17,6 +18,8 @@ from ..errors import TransportError
 from .dds_types import TYPES, sample
 from .messages import Message
 from .transport import DEPTH, Deliver, Publish
+
+log = logging.getLogger("seepast")
 
 MILLISECOND = 10**6  # ns
 PATIENCE = 100 * MILLISECOND  # for a subscriber that does not keep up
@@ -86,13 +89,18 @@ class DdsTransport:
         waiting = WaitSet(self._participant)
         for reader, _ in self._readers:
             waiting.attach(ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.Any))
-        while not self._stop.is_set():
-            if not waiting.wait(LOOK_UP):
-                continue
-            for reader, deliver in self._readers:
-                for message in reader.take(DEPTH):
-                    if isinstance(message, tuple(TYPES)) and not self._stop.is_set():
-                        deliver(message)
+        try:
+            while not self._stop.is_set():
+                if waiting.wait(LOOK_UP):
+                    self._hand_on()
+        except Exception as error:  # in a thread nobody else would tell
+            log.error("%s: takes no more messages (%s: %s); start again", self.name, type(error).__name__, error)
+
+    def _hand_on(self) -> None:
+        for reader, deliver in self._readers:
+            for message in reader.take(DEPTH):
+                if isinstance(message, tuple(TYPES)):
+                    deliver(message)
 
 
 def dds_topic(topic: str) -> str:

@@ -16,6 +16,7 @@ WAITING = 16  # messages of one topic that wait for those of the others
 BACK = 10**9  # ns: stamps that go back by more come from a clock that was set, or a bag played again
 
 NO_STAMP = "no time stamp in the header"
+CLOCK = "waited for others when the clock was set back"
 LATE = "came after their instant had gone, or twice"
 
 
@@ -52,7 +53,7 @@ class Grouper:
         waiting.insert(behind, message)
         complete = self._complete()
         if len(waiting) > WAITING:
-            self._drop(stream)
+            self._forget([waiting[0].stamp + self.tolerance + 1] * len(self.names))
         return complete
 
     def _complete(self) -> list[tuple[AnyImage, ...]]:
@@ -65,16 +66,17 @@ class Grouper:
 
     def _take(self, stamps: list[int]) -> tuple[AnyImage, ...]:
         """The messages with these stamps, one of every stream; what is older has missed its partners."""
-        for stream, stamp in enumerate(stamps):
-            while self._waiting[stream][0].stamp < stamp:
-                self._drop(stream)
+        self._forget(stamps)
         self._last = stamps
         return tuple(own.popleft() for own in self._waiting)
 
-    def _drop(self, stream: int) -> None:
-        stamp = self._waiting[stream][0].stamp
-        self.dropped[self._reason(stamp)] += 1
-        self._waiting[stream].popleft()
+    def _forget(self, limits: list[int]) -> None:
+        """Drop what is older than its stream's limit, after telling why for all of it."""
+        missed = [m.stamp for own, limit in zip(self._waiting, limits, strict=True) for m in own if m.stamp < limit]
+        self.dropped.update([self._reason(stamp) for stamp in missed])
+        for own, limit in zip(self._waiting, limits, strict=True):
+            while own and own[0].stamp < limit:
+                own.popleft()
 
     def _reason(self, stamp: int) -> str:
         lacking = [
@@ -88,6 +90,7 @@ class Grouper:
         return f"{lacking[0] if len(lacking) == 1 else 'several topics'} had nothing {within}"
 
     def _start_again(self) -> None:
+        self.dropped[CLOCK] += sum(map(len, self._waiting))
         self._last = [0] * len(self.names)
         for own in self._waiting:
             own.clear()
