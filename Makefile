@@ -39,7 +39,7 @@ bench-quality: $(VENV)/.test-installed
 
 bench-calibration: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
-	@$(PY) benchmarks/calibration.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(KEEP),--keep "$(KEEP)")
+	@$(PY) benchmarks/calibration.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(KEEP),--keep "$(KEEP)") $(if $(SECTION),--section "$(SECTION)")
 
 docs: $(VENV)/.docs-installed
 	@$(PY) -m sphinx -W --keep-going -q -b html docs build/docs

@@ -52,11 +52,12 @@ def main() -> None:
     for preset in arguments.presets:
         for kind in arguments.masks or mask_kinds(recordings):
             collect([*training, *recordings], kind, preset, kept, arguments.keep)
-    parts = [report(preset, kept, fitted_on, bool(training)) for preset in arguments.presets]
+    asked = tuple(path.name for path in recordings)
+    parts = [report(preset, kept, fitted_on, asked, bool(training)) for preset in arguments.presets]
     print("\n\n".join(parts))
     if arguments.write:
-        head = f"`make bench-calibration DATA={arguments.data.resolve().name}`\n\nOn {machine()}."
-        replace_section(arguments.write, "calibration", "\n\n".join([head, *parts]))
+        command = f"make bench-calibration DATA={arguments.data.resolve().name} PRESETS={','.join(arguments.presets)}"
+        replace_section(arguments.write, arguments.section, "\n\n".join([f"`{command}`\n\nOn {machine()}.", *parts]))
 
 
 def _arguments() -> argparse.Namespace:
@@ -66,7 +67,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--masks", type=lambda text: [m for m in text.split(",") if m], help="default: every masks*")
     parser.add_argument("--fit", type=Path, nargs="+", default=[], metavar="FOLDER", help="recordings to fit on")
     parser.add_argument("--keep", type=Path, metavar="COUNTS.json", help="counts are read from there and added")
-    parser.add_argument("--write", type=Path, metavar="RESULTS.md", help="into its section <!-- calibration:begin -->")
+    parser.add_argument("--write", type=Path, metavar="RESULTS.md", help="put the tables into a section of this file")
+    parser.add_argument("--section", default="calibration", help="<!-- calibration:begin --> .. (default: calibration)")
     return parser.parse_args()
 
 
@@ -175,8 +177,9 @@ FIGURES = ("frames", "mean c", "right", "ECE", "AUC", "AUSE", "unseen", "of them
 Pairs = list[tuple[Counts, Calibration]]
 
 
-def report(preset: str, kept: Kept, fitted_on: tuple[str, ...], fit: bool) -> str:
-    """Markdown: the reliability of a preset for every kind of masks; with `fit`, the new numbers first."""
+def report(preset: str, kept: Kept, fitted_on: tuple[str, ...], asked: tuple[str, ...], fit: bool) -> str:
+    """Markdown: the reliability of a preset for every kind of masks, on the recordings `asked` for that it was not
+    fitted on; with `fit`, the new numbers first."""
     kinds = {key.partition("/")[2]: frames for key, frames in kept.items() if key.partition("/")[0] == preset}
     calibration = confidence.calibration(Options.preset(preset))
     parts = [f"### {preset}: confidence against truth"]
@@ -186,7 +189,9 @@ def report(preset: str, kept: Kept, fitted_on: tuple[str, ...], fit: bool) -> st
         checked = zip(FIGURES, figures(cross_validated(known)), strict=True)
         parts += [f"```python\n{calibration}\n```"]
         parts += ["Cross-validated by scene: " + ", ".join(f"{name} {value}" for name, value in checked)]
-    others = {kind: {n: c for n, c in of.items() if not _is(n, fitted_on)} for kind, of in kinds.items()}
+    others = {
+        kind: {n: c for n, c in of.items() if _is(n, asked) and not _is(n, fitted_on)} for kind, of in kinds.items()
+    }
     return "\n\n".join([*parts, *tables({kind: of for kind, of in others.items() if of}, calibration)])
 
 
