@@ -176,7 +176,7 @@ def made_by(words: Sequence[str]) -> list[Path]:
 
 def test_the_documentation_shows_every_command_and_they_are_all_known() -> None:
     shown = {name for _, command in ALL for name in re.findall(r"seepast ([a-z]+)", command)}
-    assert {name for name in cli.app if not name.startswith("-")} - {"serve", "completion"} <= shown
+    assert {name for name in cli.app if not name.startswith("-")} - {"serve"} <= shown
     assert (
         len(ALL) > 60 and len(PYTHON) >= 3 and {name for _, name in FILES} == {"mine.py", "settings.yaml", "rig.yaml"}
     )
@@ -235,6 +235,22 @@ def _remove(path: Path) -> None:
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)
+
+
+def test_the_pages_build_without_a_warning_and_with_all_pictures(tmp_path: Path) -> None:
+    for module in ("sphinx", "furo", "myst_parser"):
+        pytest.importorskip(module)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs", ignore=shutil.ignore_patterns("made"))
+    for name in ("DESIGN.md", "TROUBLESHOOTING.md"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    build = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", "docs", "html"]
+    done = subprocess.run(build, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    commands_page = (tmp_path / "html" / "commands.html").read_text()
+    assert all(f"<h2>seepast {name}<" in commands_page for name in cli.app if not name.startswith("-"))
+    for picture in (tmp_path / "docs" / "made").glob("*.png"):
+        image = cv2.imread(str(picture))
+        assert min(image.shape[:2]) > 200 and image.std() > 20, picture.name
 
 
 @pytest.mark.parametrize("body", PYTHON)
