@@ -2,6 +2,8 @@
 # make test    the tests
 # make bench-speed    the speed of every stage on this machine (make bench is the same)
 # make bench-quality DATA=folder    the quality on recordings with truth, beside baselines
+# make bench-calibration DATA=folder    whether the confidence is right, on recordings with truth
+# make docs    the documentation, to build/docs/index.html
 # make lint    style and types
 #
 # Each sets up what it needs in .venv: it asks for Python >= 3.10 and a C++ compiler, nothing else.
@@ -14,7 +16,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && { echo $$p; break; }; done)
 PIP    := $(PY) -m pip --quiet --disable-pip-version-check install
 
-.PHONY: demo test bench bench-speed bench-quality lint
+.PHONY: demo test bench bench-speed bench-quality bench-calibration docs lint
 .DELETE_ON_ERROR:
 
 demo: $(CORE)
@@ -35,9 +37,17 @@ bench-quality: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
 	@$(PY) benchmarks/quality.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(SECTION),--section "$(SECTION)")
 
+bench-calibration: $(VENV)/.test-installed
+	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
+	@$(PY) benchmarks/calibration.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(KEEP),--keep "$(KEEP)") $(if $(SECTION),--section "$(SECTION)")
+
+docs: $(VENV)/.docs-installed
+	@$(PY) -m sphinx -W --keep-going -q -b html docs build/docs
+	@echo build/docs/index.html
+
 lint: $(VENV)/.dev-installed
-	$(VENV)/bin/ruff check src tests benchmarks
-	$(VENV)/bin/ruff format --check src tests benchmarks
+	$(VENV)/bin/ruff check src tests benchmarks docs/*.py
+	$(VENV)/bin/ruff format --check src tests benchmarks docs/*.py
 	$(VENV)/bin/mypy src/seepast
 	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h
 

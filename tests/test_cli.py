@@ -273,7 +273,7 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
         assert str(code) in text
     capsys.readouterr()
     assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out.strip() == __version__
+    assert capsys.readouterr().out.startswith(f"seepast {__version__}\n")
 
 
 def test_help_loads_no_engine() -> None:

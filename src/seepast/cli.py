@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import signal
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
-from . import __version__
+from .commands.check import check
+from .commands.completion import completion
+from .commands.console import EXIT_ERROR, Json, say
 from .commands.console import count as _count
 from .commands.console import progress as _progress
+from .commands.console import say_error as _say_error
+from .commands.epi import epi
 from .commands.export import export
-from .commands.segmenting import Classes, SegmenterName, opened_segmenter
-from .commands.source import GUESSED, Source
-from .commands.watching import UNSEEN, Viewing
-from .errors import DatasetError, InputError, OptionsError, RigError, SeepastError
-from .options import DEFAULT_PRESET
+from .commands.models import models
+from .commands.refocus import refocus
+from .commands.run import Flag, Masks, run
+from .commands.serve import serve
+from .commands.version import version
+from .commands.view import view
+from .errors import SeepastError
 
-if TYPE_CHECKING:
-    from .sequence import Summary
-
-EXIT_ERROR, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 130, 143
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 USAGE = """Usage: seepast COMMAND, for example
 
@@ -38,12 +39,15 @@ USAGE = """Usage: seepast COMMAND, for example
   seepast run walk.bag --out out --masks none   ROS bag, EuRoC, videos
   seepast run recording --out out --segmenter onnx:people.onnx
   seepast run recording --out out --reference cam2 --preset paper
+  seepast run --settings out/run.json --out b   the same run again
   seepast evaluate recording out                how right, where truth is known
   seepast view out                              in the browser; --save out.rrd
   seepast refocus recording --out out --depth 5 plain synthetic aperture
   seepast epi recording --row 200 --out epi.png epipolar-plane image
   seepast export out --to tum                   for SLAM; also bags, PLY, EXR
+  seepast serve --rig rig.yaml --masks none     live, from and to ROS 2
   seepast synth made --rig rig.yaml --frames 10 --seed 1
+  seepast --version                             backends and extras there are
 """
 HELP = "\n\n".join(
     (
@@ -51,6 +55,7 @@ HELP = "\n\n".join(
         "A recording is a folder with rig.yaml (Kalibr), cam0/<stamp>.png, cam1/<stamp>.png ... and "
         "masks/cam0/<stamp>.png ... (255 * the probability that a pixel is dynamic); or a ROS bag, an EuRoC folder, "
         "videos cam0.mp4 ..., a Middlebury folder.",
+        "Results go to stdout, one line of JSON each with --json; all else goes to stderr.",
         "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
         "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
     )
@@ -62,112 +67,21 @@ app = App(
     usage=USAGE,
     help=HELP,
     help_format="plaintext",
-    version=__version__,
     suppress_keyboard_interrupt=False,
-    version_flags=["--version"],
+    version_flags=[],
 )
 
-Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 Range = Annotated[tuple[float, float] | None, Parameter(negative=(), show_default=False)]
 Backend = Literal["auto", "cpu", "reference"]
-Masks = Annotated[
-    str | None,
-    Parameter(
-        help="Folder of masks in the dataset (default: masks); 'none': no masks; in ROS bags also topics:A,B,C.",
-        show_default=False,
-    ),
-]
-
-
-@app.command
-def run(
-    dataset: Path,
-    /,
-    *,
-    out: Path,
-    masks: Masks = None,
-    segmenter: SegmenterName = None,
-    classes: Classes = None,
-    preset: str = DEFAULT_PRESET,
-    reference: str = "cam0",
-    backend: Backend = "auto",
-    dynamic_only: Flag = False,
-    set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), show_default=False)] = None,
-    threads: int = 0,
-    overwrite: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
-    source: Source = GUESSED,
-    viewing: Viewing = UNSEEN,
-) -> int:
-    """Reconstruct the static scene of every frame of a recording.
-
-    A run that was interrupted goes on where it stopped when the same command is given again.
-
-    Parameters
-    ----------
-    dataset
-        Folder with rig.yaml, cam0/ cam1/ ... and masks/; or a ROS bag, an EuRoC folder, videos cam0.mp4 ..., a
-        Middlebury folder; or a folder of such: each goes to OUT/<its name>.
-    out
-        Output folder: background/ disparity/ depth/ coverage/ masks/ camera.yaml run.json.
-    preset
-        accurate: every camera a reference, then they vote; the best pictures, seconds a frame. paper: the stages of
-        Kaveti et al. 2020, ten times faster.
-    reference
-        The camera whose view is reconstructed.
-    backend
-        auto takes the fastest that works here; reference is the readable NumPy one.
-    dynamic_only
-        Synthesise only what people hide; all else keeps its own pixels. Faster.
-    set_
-        One option, stage.field=value; may be repeated.
-    threads
-        0: as many as there are cores.
-    overwrite
-        Replace the output of an earlier, different run.
-    json_
-        Print one line of JSON per recording instead of text.
-    """
-    from .datasets import NO_MASKS
-    from .options import Options
-    from .segment import SegmentedDataset
-    from .sequence import Settings, process
-
-    options = Options.preset(preset).updated(_assignments(set_ or []))
-    settings = Settings(options, reference, backend, dynamic_only, threads, overwrite)
-    network = opened_segmenter(segmenter, classes, masks, threads)
-    paths = source.find(dataset)
-    failed = 0
-    with viewing.watch(len(paths), overwrite) as watched:
-        for path in paths:
-            target = out if paths == [dataset] else out / (path.stem if path.is_file() else path.name)
-            try:
-                given = NO_MASKS if network else masks
-                recording = source.open(path, given)
-                if network:
-                    recording = SegmentedDataset(recording, network)
-                again = partial(source.open, path, given)
-                with (
-                    _progress(recording.name, len(recording.stamps)) as advance,
-                    watched.run(recording.name, target, again, advance) as on_frame,
-                ):
-                    summary = process(recording, target, settings, on_frame=on_frame)
-            except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
-                if len(paths) == 1:
-                    raise
-                failed += 1
-                _say_error(error)
-                continue
-            print(json.dumps(summary.as_dict()) if json_ else _summary_line(summary), flush=True)
-        watched.wait()
-    return EXIT_ERROR if failed else 0
-
-
-app.command("seepast.commands.check:check")
-app.command("seepast.commands.refocus:refocus")
-app.command("seepast.commands.epi:epi")
-app.command("seepast.commands.view:view")
-app.command("seepast.commands.models:models")
+app.command(run)
+app.command(check)
+app.command(refocus)
+app.command(epi)
+app.command(view)
+app.command(models)
+app.command(completion)
+app.command(version, name="--version")
+app.command(serve)
 app.command(export)
 
 
@@ -178,9 +92,14 @@ def evaluate(
     /,
     *,
     masks: Masks = None,
-    json_: Annotated[Path | None, Parameter(name="--json", show_default=False)] = None,
+    json_: Json = False,
 ) -> int:
     """Compare what `run` wrote with the truth of the dataset.
+
+    For example
+
+      seepast evaluate made out
+      seepast evaluate recordings out --masks masks_network --json
 
     Parameters
     ----------
@@ -188,18 +107,13 @@ def evaluate(
         Folder with truth/, or a folder of such folders.
     out
         What `run` wrote for it.
-    json_
-        Also write the figures to this file.
     """
     from .datasets import NO_MASKS
     from .evaluate import evaluate, table
 
     rows = evaluate(dataset, out, None if masks == NO_MASKS else masks or "masks")
-    print(table(rows))
-    if json_ is not None:
-        from .export.atomic import write_json
-
-        write_json(json_, {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()})
+    values = {name: {k: None if v != v else v for k, v in row.items()} for name, row in rows.items()}
+    say(table(rows), values, json_)
     return 0
 
 
@@ -220,8 +134,14 @@ def synth(
     gain: float = 0.03,
     grey: Flag = False,
     samples: int = 2,
+    json_: Json = False,
 ) -> int:
-    """Make an array recording with truth: a textured room, moving people, a moving rig with its lenses.
+    """Make a recording with truth: a room, moving people, lenses.
+
+    For example
+
+      seepast synth made --rig rig.yaml --frames 10 --seed 1
+      seepast synth made --rig rig.yaml --masks all --background-depth 4 9
 
     Parameters
     ----------
@@ -271,13 +191,21 @@ def synth(
             samples=samples,
             progress=lambda *_: advance(),
         )
-    print(f"{out.name}: {_count(frames, 'frame')}, {_count(figures, 'figure')}, seed {seed}, {out}")
+    values = {"name": out.name, "frames": frames, "figures": figures, "seed": seed, "path": str(out)}
+    say(f"{out.name}: {_count(frames, 'frame')}, {_count(figures, 'figure')}, seed {seed}, {out}", values, json_)
     return 0
 
 
 @app.command
-def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
-    """See past the people of a small sample that comes with seepast, and draw before and after.
+def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto", json_: Json = False) -> int:
+    """See past the people of a small sample; draw before and after.
+
+    For example
+
+      seepast demo
+      seepast demo --out somewhere --backend reference
+
+    The sample comes with seepast.
 
     Parameters
     ----------
@@ -290,33 +218,14 @@ def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto") -> int:
 
     done = run_demo(out, backend)
     milliseconds = done.summary.milliseconds["total"]
-    print(
+    text = (
         f"people hide {100 * done.hidden_share:.1f} % of the view; {100 * done.seen_share:.1f} % of that "
         f"comes back from other cameras, at {done.psnr:.1f} dB, in {milliseconds:.0f} ms"
     )
-    print(done.picture.resolve())
+    picture = str(done.picture.resolve())
+    shares = {"hidden_share": done.hidden_share, "seen_share": done.seen_share, "psnr": done.psnr}
+    say(f"{text}\n{picture}", {**done.summary.as_dict(), **shares, "picture": picture}, json_)
     return 0
-
-
-def _assignments(words: Sequence[str]) -> dict[str, str]:
-    """["stage.field=value", ...] as a dict. Raises OptionsError."""
-    pairs: dict[str, str] = {}
-    for word in words:
-        name, equals, value = word.partition("=")
-        if not (name and equals and value):
-            raise OptionsError(f"--set {word}: write it as stage.field=value, for instance --set disparity.beta=0.01")
-        pairs[name.strip()] = value.strip()
-    return pairs
-
-
-def _summary_line(summary: Summary) -> str:
-    before = summary.frames - summary.computed
-    frames = _count(summary.frames, "frame") + (f" ({before} from before)" if before else "")
-    total = summary.milliseconds.get("total")
-    speed = "not timed" if total is None else f"{total:.0f} ms per frame"
-    share = summary.coverage_share
-    covered = "coverage unknown" if share is None else f"coverage {100 * share:.1f} %"
-    return f"{summary.name}: {frames}, {speed}, {covered}, {summary.out}"
 
 
 class _StderrHandler(logging.Handler):
@@ -324,10 +233,6 @@ class _StderrHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         print(f"seepast: {record.levelname.lower()}: {record.getMessage()}", file=sys.stderr)
-
-
-def _say_error(error: object) -> None:
-    print("seepast: error: " + " ".join(str(error).split()), file=sys.stderr, flush=True)
 
 
 class _Terminated(BaseException):

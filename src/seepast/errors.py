@@ -33,6 +33,10 @@ class ModelError(SeepastError, RuntimeError):
     """A segmentation network that cannot be found, fetched, read, understood or run."""
 
 
+class TransportError(SeepastError, RuntimeError):
+    """A running system that cannot be reached, or that does not take what is published."""
+
+
 class MissingExtraError(SeepastError, ImportError):
     """An optional dependency is not installed; the message names the extra that brings it."""
 

@@ -6,7 +6,7 @@ import hashlib
 import logging
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,10 @@ log = logging.getLogger("seepast")
 
 @dataclass(frozen=True)
 class Settings:
-    """How to run; see `reconstruct` for each. reference is a camera's name or index."""
+    """How to run; see `reconstruct` for each. reference is a camera's name or index.
+
+    said  how the recording was opened (settings.Plan.said), kept in run.json so that the run can be repeated
+    """
 
     options: Options
     reference: int | str = 0
@@ -33,6 +36,7 @@ class Settings:
     dynamic_only: bool = False
     threads: int = 0
     overwrite: bool = False
+    said: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ def _decoded(
 
 def describe_run(dataset: Dataset, settings: Settings) -> Run:
     """What determines the output of `process`, for run.json and for going on with an earlier run."""
-    return Run(
+    run = Run(
         seepast=__version__,
         dataset=str(dataset.path.resolve()),
         masks=NO_MASKS if dataset.masks is None else str(dataset.masks.resolve()),
@@ -133,6 +137,26 @@ def describe_run(dataset: Dataset, settings: Settings) -> Run:
         segmenter=dataset.segmenter.describe() if isinstance(dataset, SegmentedDataset) else None,
         reading=getattr(dataset, "reading", None),
     )
+    return replace(run, settings=_repeating(run, settings.said))
+
+
+def _repeating(run: Run, said: Mapping[str, Any]) -> dict[str, Any]:
+    """The flags (settings.FLAGS) that, with the options of `run`, make `seepast run` do the same again."""
+    flags: dict[str, Any] = {"dataset": run.dataset, "reference": run.reference, "backend": run.backend}
+    flags["dynamic_only"] = run.dynamic_only
+    if run.segmenter is None:
+        flags["masks"] = _masks_of(run)
+    elif run.segmenter["kind"] == "onnx":
+        flags["segmenter"] = f"onnx:{run.segmenter['model']}:{run.segmenter['preset']}"
+    return {**flags, **(run.reading or {}), **said}
+
+
+def _masks_of(run: Run) -> str:
+    """--masks of a run: its folder relative to the recording where it lies in it, so that it holds for others, too."""
+    if run.masks.startswith(f"{run.dataset}#"):
+        return f"topics:{run.masks.removeprefix(f'{run.dataset}#')}"
+    masks = Path(run.masks)
+    return str(masks.relative_to(run.dataset)) if masks.is_relative_to(run.dataset) else run.masks
 
 
 def _digest(rig: Rig) -> str:

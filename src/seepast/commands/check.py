@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from .console import progress
+from .console import Json, progress
 from .segmenting import Classes, SegmenterName, opened_segmenter
 from .source import GUESSED, Source
 
@@ -24,10 +24,10 @@ def check(
     depths: Annotated[tuple[float, float], Parameter(negative=())] = (1.0, 20.0),
     background: Annotated[float | None, Parameter(show_default=False)] = None,
     html: Annotated[Path | None, Parameter(show_default=False)] = None,
-    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    json_: Json = False,
     source: Source = GUESSED,
 ) -> int:
-    """Read every file of a recording, measure what decides success, and say what would mend it.
+    """Measure what decides success, and say what would mend it.
 
     For example
 
@@ -35,7 +35,7 @@ def check(
       seepast check recording --depths 1.5 12 --html report.html
       seepast check recording --background 4 --json
 
-    Exit code 0 whatever the verdicts; 2 where a run would be impossible (files
+    Every file of the recording is read. Exit code 0 whatever the verdicts; 2 where a run would be impossible (files
     missing or damaged, an unusable calibration), told in one line on stderr.
 
     Parameters
@@ -52,8 +52,6 @@ def check(
         Metres to what people stand before; measured from the images if not given.
     html
         Also write the report, with pictures, to this one file.
-    json_
-        Print JSON instead of the table.
     """
     from ..check import check as check_dataset
     from ..datasets import NO_MASKS

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from .console import Json, say
 from .source import GUESSED, Source
 
 Optional = Parameter(negative=(), show_default=False)
@@ -25,15 +26,18 @@ def epi(
     masks: Annotated[str | None, Optional] = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
+    json_: Json = False,
     source: Source = GUESSED,
 ) -> int:
-    """Draw the epipolar-plane image of a row: slope is disparity, people's rays are struck out.
+    """Draw a row's epipolar-plane image, people's rays struck out.
 
     For example
 
       seepast epi recording --row 200 --out epi.png
       seepast epi recording --row 200 --shear 40 --out wall.png --overwrite
       seepast epi recording --row 200 --fill linear --masks none --out epi.png
+
+    In it, slope is disparity.
 
     Parameters
     ----------
@@ -83,8 +87,8 @@ def epi(
     dynamic = np.stack([rectification.dynamic(k, mask) for k, mask in enumerate(given)])
     made = epipolar_image(views, geometry, row, dynamic, shear)
     write_png(out, draw(made, views[geometry.reference], row, names, height, fill))
-    print(
-        f"{recording.name}: row {row} of {stamp}, {len(names)} cameras over {np.ptp(made.places):.2f} B, "
-        f"{100 * made.dynamic.mean():.1f} % struck out, {out}"
-    )
+    span, struck = float(np.ptp(made.places)), float(made.dynamic.mean())
+    values = {"name": recording.name, "frame": stamp, "row": row, "cameras": names, "struck_out": struck}
+    text = f"{recording.name}: row {row} of {stamp}, {len(names)} cameras over {span:.2f} B"
+    say(f"{text}, {100 * struck:.1f} % struck out, {out}", {**values, "path": str(out)}, json_)
     return 0

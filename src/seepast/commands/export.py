@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from .console import count, progress
+from .console import Json, count, progress, say
 
 Flag = Annotated[bool, Parameter(negative=(), show_default=False)]
 
@@ -25,7 +24,7 @@ def export(
     depth: Literal["32FC1", "16UC1"] = "32FC1",
     depth_factor: float = 5000.0,
     overwrite: Flag = False,
-    json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False,
+    json_: Json = False,
 ) -> int:
     """Write what `run` made in the formats of other tools.
 
@@ -60,8 +59,6 @@ def export(
         Units per metre of the depth images of tum: 5000 reaches 13.1 m, 1000 reaches 65.5 m.
     overwrite
         Replace an earlier export.
-    json_
-        Print one line of JSON instead of text.
     """
     from ..export.exporters import export, exporter_of
     from ..export.protocol import ExportOptions
@@ -73,8 +70,6 @@ def export(
     name = folder.path.resolve().name
     with progress(name, len(folder.stamps)) as advance:
         done = export(folder, to, out, options, overwrite=overwrite, on_frame=advance)
-    if json_:
-        print(json.dumps({"name": name, "to": to, "path": str(done.path), "frames": done.frames}))
-    else:
-        print(f"{name}: {count(done.frames, 'frame')} as {to}, {done.path}")
+    values = {"name": name, "to": to, "path": str(done.path), "frames": done.frames}
+    say(f"{name}: {count(done.frames, 'frame')} as {to}, {done.path}", values, json_)
     return 0

@@ -12,6 +12,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from .console import Json, say
+
 USAGE = """Usage: seepast models [get NAME]
 
   seepast models                       what there is, its licence, address and SHA-256
@@ -22,20 +24,14 @@ USAGE = """Usage: seepast models [get NAME]
 models = App(
     name="models",
     usage=USAGE,
-    help="Public segmentation networks. Nothing is ever fetched but by `seepast models get`.",
+    help="List and fetch public segmentation networks.\n\nNothing is ever fetched but by `seepast models get`.",
     help_format="plaintext",
 )
 
 
 @models.default
-def list_models(*, json_: Annotated[bool, Parameter(name="--json", negative=(), show_default=False)] = False) -> int:
-    """List the networks that are known to do.
-
-    Parameters
-    ----------
-    json_
-        Print JSON instead of text.
-    """
+def list_models(*, json_: Json = False) -> int:
+    """List the networks that are known to do."""
     from ..segment.models import MODELS, models_folder
 
     if json_:
@@ -50,7 +46,7 @@ def list_models(*, json_: Annotated[bool, Parameter(name="--json", negative=(), 
 
 
 @models.command
-def get(name: str, /, *, to: Annotated[Path | None, Parameter(show_default=False)] = None) -> int:
+def get(name: str, /, *, to: Annotated[Path | None, Parameter(show_default=False)] = None, json_: Json = False) -> int:
     """Fetch a network, verify its SHA-256 and print where it lies; a fetch that broke off goes on.
 
     Parameters
@@ -67,7 +63,8 @@ def get(name: str, /, *, to: Annotated[Path | None, Parameter(show_default=False
     path = (to or models_folder()) / f"{name}.onnx"
     with _progress(name, model.bytes) as on_bytes:
         fetched = fetch(model, path, on_bytes)
-    print(f"{path}: {model.bytes} bytes, sha256 as expected{'' if fetched else ', was there already'}")
+    text = f"{path}: {model.bytes} bytes, sha256 as expected{'' if fetched else ', was there already'}"
+    say(text, {"name": name, "path": str(path), "bytes": model.bytes, "fetched": fetched}, json_)
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from .console import count, progress
+from .console import Json, count, progress, say
 from .source import GUESSED, Source
 
 Optional = Parameter(negative=(), show_default=False)
@@ -30,15 +30,18 @@ def refocus(
     masks: Annotated[str | None, Optional] = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
+    json_: Json = False,
     source: Source = GUESSED,
 ) -> int:
-    """Plain synthetic aperture refocusing, the baseline people know: all cameras' rays through one plane.
+    """Refocus plainly, by synthetic aperture: rays through one plane.
 
     For example
 
       seepast refocus recording --out out --depth 5
       seepast refocus recording --out out --depth 5 --aperture median --cameras cam0,cam2,cam4
       seepast refocus recording --sweep 1 10 60 --video sweep.mp4 --masked
+
+    This is the baseline people know: all cameras' rays, dynamic ones, too, unless --masked.
 
     Parameters
     ----------
@@ -98,5 +101,7 @@ def refocus(
         )
     frames = count(pictures // len(planes), "frame")
     at = f"{planes[0]:.2f} px" if len(planes) == 1 else f"{len(planes)} planes, {planes[0]:.2f} to {planes[-1]:.2f} px"
-    print(f"{recording.name}: {frames} refocused at {at}, {' and '.join(str(p) for p in (out, video) if p)}")
+    paths = [str(path) for path in (out, video) if path]
+    values = {"name": recording.name, "frames": pictures // len(planes), "disparities": planes, "paths": paths}
+    say(f"{recording.name}: {frames} refocused at {at}, {' and '.join(paths)}", values, json_)
     return 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from .console import count, progress
+from .console import Json, count, progress, say
 from .source import GUESSED, Source
 
 if TYPE_CHECKING:
@@ -29,15 +29,19 @@ def view(
     save: Annotated[Path | None, Optional] = None,
     port: int = 9090,
     overwrite: Annotated[bool, Optional] = False,
+    json_: Json = False,
     source: Source = GUESSED,
 ) -> int:
-    """Look at what `run` made: inputs, masks before and after, the scene, 3-D points, milliseconds per stage.
+    """Look at what `run` made in the rerun viewer.
 
     For example
 
       seepast view out                       a web page at http://127.0.0.1:9090, until Ctrl-C
       seepast view out --save out.rrd        a file for the rerun viewer, no screen needed
       seepast view out --dataset moved/rec   the recording lies elsewhere now
+
+    It shows inputs, masks before and after, the scene, 3-D points and milliseconds
+    per stage.
 
     The viewer is rerun's, pip install 'seepast[view]', and listens on this machine only.
 
@@ -66,10 +70,11 @@ def view(
     if save is not None:
         with saved(stream, save, overwrite), progress(out.name, len(run.stamps)) as advance:
             frames = logger.log_new(advance)
-        print(f"{out}: {count(frames, 'frame')}, {save}")
+        say(f"{out}: {count(frames, 'frame')}, {save}", {"name": str(out), "frames": frames, "path": str(save)}, json_)
         return 0
     with view_server(port) as server, connected(stream, server):
-        print(f"{out}: {count(len(run.stamps), 'frame')} at {server.page} ; Ctrl-C ends it", flush=True)
+        values = {"name": str(out), "frames": len(run.stamps), "page": server.page}
+        say(f"{out}: {count(len(run.stamps), 'frame')} at {server.page} ; Ctrl-C ends it", values, json_)
         with progress(out.name, len(run.stamps)) as advance:
             logger.log_new(advance)
         server.wait()

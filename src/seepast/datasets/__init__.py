@@ -39,6 +39,7 @@ __all__ = [
     "Reader",
     "find_datasets",
     "find_reader",
+    "guess_reader",
     "open_dataset",
 ]
 
@@ -89,7 +90,7 @@ def open_dataset(
     if len(found) > 1:
         raise DatasetError(f"{path}: holds {len(found)} recordings; name one of {', '.join(p.name for p in found)}")
     options = OpenOptions(masks, None if rig is None else Path(rig), topics, tolerance)
-    name = reader or _guess(found[0])
+    name = reader or guess_reader(found[0])
     assert name is not None
     chosen = find_reader(name)
     _check_taken(name, chosen, options)
@@ -109,9 +110,9 @@ def find_datasets(path: str | Path, *, reader: str | None = None) -> list[Path]:
         chosen = find_reader(reader)
         here = _recognises(chosen, path)
         return [path] if here else [p for p in _below(path) if _recognises(chosen, p)] or [path]
-    guess = _guess(path)
+    guess = guess_reader(path)
     if guess is None or (guess == "folder" and not (path / "cam0").is_dir()):  # perhaps one rig.yaml for many bags
-        below = [p for p in _below(path) if _guess(p)]
+        below = [p for p in _below(path) if guess_reader(p)]
         if below:
             return below
     if guess is None:
@@ -140,7 +141,8 @@ def find_reader(name: str) -> Reader:
     return found
 
 
-def _guess(path: Path) -> str | None:
+def guess_reader(path: Path) -> str | None:
+    """The name in READERS of the one that recognises `path`; None where none does."""
     return next((name for name, reader in reversed(READERS.items()) if _recognises(reader, path)), None)
 
 

@@ -17,36 +17,46 @@ def image_topics(bag: Bag, cameras: Sequence[Camera], topics: str | None, rig_fi
 
     Raises DatasetError, naming the image topics that there are.
     """
+    who = "--topics names" if topics is not None else f"{rig_file} names"
+    wanted = topics_of(cameras, topics, rig_file, f"; {_image_topics_there(bag)}")
+    return [_there(bag, topic, who) for topic in wanted]
+
+
+def topics_of(cameras: Sequence[Camera], topics: str | None, rig_file: Path, hint: str = "") -> list[str]:
+    """The image topics that are wanted, in the order of `cameras`: `topics`, or else the rostopic of each.
+
+    Raises DatasetError, with `hint` at its end, where there are none.
+    """
     if topics is not None:
-        return [_there(bag, topic, "--topics names") for topic in _listed(topics, cameras, "--topics")]
+        return listed(topics, cameras, "--topics")
     for camera in cameras:
         if camera.topic is None:
             raise DatasetError(
                 f"{rig_file}: names no rostopic for {camera.name}; add it, or say --topics TOPIC,TOPIC,... in the "
-                f"order of its cameras; {_image_topics_there(bag)}"
+                f"order of its cameras{hint}"
             )
-    return [_there(bag, str(camera.topic), f"{rig_file} names") for camera in cameras]
+    return [str(camera.topic) for camera in cameras]
 
 
 def mask_topics(bag: Bag, cameras: Sequence[Camera], masks: str | None) -> list[str]:
     """Likewise for masks, "topics:" and the topics; none for masks that lie elsewhere."""
     if masks is None or not masks.startswith(MASK_TOPICS):
         return []
-    listed = _listed(masks.removeprefix(MASK_TOPICS), cameras, f"--masks {MASK_TOPICS}")
-    return [_there(bag, topic, "--masks names") for topic in listed]
+    wanted = listed(masks.removeprefix(MASK_TOPICS), cameras, f"--masks {MASK_TOPICS}")
+    return [_there(bag, topic, "--masks names") for topic in wanted]
 
 
-def _listed(topics: str, cameras: Sequence[Camera], option: str) -> list[str]:
-    """One topic per camera from "a,b,c" or "/{}/image"."""
-    listed = [topic.strip() for topic in topics.split(",") if topic.strip()]
-    if len(listed) == 1 and "{}" in listed[0]:
-        return [listed[0].replace("{}", camera.name) for camera in cameras]
-    if len(listed) != len(cameras) or len(set(listed)) < len(listed):
+def listed(topics: str, cameras: Sequence[Camera], option: str) -> list[str]:
+    """One topic per camera from "a,b,c" or "/{}/image". Raises DatasetError, naming `option`."""
+    names = [topic.strip() for topic in topics.split(",") if topic.strip()]
+    if len(names) == 1 and "{}" in names[0]:
+        return [names[0].replace("{}", camera.name) for camera in cameras]
+    if len(names) != len(cameras) or len(set(names)) < len(names):
         raise DatasetError(
             f"{option}: give {len(cameras)} different topics with commas between them, in the order of the rig's "
             f"cameras, or one with {{}} for the camera's name; not {topics!r}"
         )
-    return listed
+    return names
 
 
 def _there(bag: Bag, topic: str, who: str) -> str:

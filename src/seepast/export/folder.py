@@ -13,7 +13,7 @@ import platform
 import statistics
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +45,7 @@ class Run:
     options       flat, "stage.field" -> value
     segmenter     what made the masks, as it describes itself (with the SHA-256 of its model); None: files
     reading       what was chosen on opening the recording (reader, topics, tolerance); None: there is no choice
+    settings      flags that make the same run again (settings.FLAGS); two runs may differ in how they say it
     """
 
     seepast: str
@@ -57,6 +58,7 @@ class Run:
     options: Mapping[str, Any]
     segmenter: Mapping[str, Any] | None = None
     reading: Mapping[str, Any] | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 class FolderWriter:
@@ -162,12 +164,7 @@ class FolderWriter:
         self._before = None
 
     def _write_run(self) -> None:
-        versions = {
-            "seepast": self._run["seepast"],
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-        }
+        versions = {"seepast": self._run["seepast"], "python": platform.python_version(), **_libraries()}
         settings = {key: value for key, value in self._run.items() if key not in ("seepast", "options")}
         atomic.write_json(
             self.out / RUN_FILE,
@@ -250,11 +247,28 @@ def _earlier_run(out: Path) -> dict[str, Any] | None:
     )
 
 
+def changes_since(before: Mapping[str, Any], run: Run, *, segmenter: bool = True) -> list[str]:
+    """In words, in what a repetition of the run of run.json `before` cannot be equal, whatever its settings say.
+
+    segmenter  whether the segmenter is to be the same one; the calibration is, where the recording is.
+    """
+    now = json.loads(json.dumps(asdict(run)))
+    fixed = {"seepast", *(["rig"] if before.get("dataset") == now["dataset"] else [])}
+    told = _differences(before, now)
+    changes = [text for text in told if text.partition(":")[0] in fixed or (segmenter and text.startswith("segmenter"))]
+    old = before.get("versions", {})
+    return changes + [f"{n}: {old[n]} there, {v} now" for n, v in _libraries().items() if n in old and old[n] != v]
+
+
+def _libraries() -> dict[str, str]:
+    return {"numpy": np.__version__, "opencv": cv2.__version__}
+
+
 def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """In words, what two runs do not agree in."""
 
     def flat(run: Mapping[str, Any]) -> dict[str, Any]:
-        settings = {key: run.get(key) for key in now if key not in ("options", "seepast", "segmenter")}
+        settings = {key: run.get(key) for key in now if key not in ("options", "seepast", "segmenter", "settings")}
         version = run.get("seepast", run.get("versions", {}).get("seepast"))
         return {"seepast": version, **settings, **segmenter(run), **(run.get("options") or {})}
 

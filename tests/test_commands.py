@@ -1,0 +1,168 @@
+"""What all commands have in common: help, --json, --version, completion."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from recordings import write_recording
+from seepast import __version__, about, backends, cli
+from seepast.errors import BackendError
+
+QUICK = ["--preset", "paper", "--set", "range.max_disparity=12"]
+
+
+def shown(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    assert cli.main(list(words)) == 0
+    return capsys.readouterr().out
+
+
+def commands() -> list[str]:
+    """Every command but the flags."""
+    return [name for name in cli.app if not name.startswith("-")]
+
+
+def test_every_command_has_one_line_of_help(capsys: pytest.CaptureFixture[str]) -> None:
+    table = shown(capsys, "--help").partition("─ Commands ─")[2]
+    rows = re.findall(r"^│ (.{11,13}?) (.*?) *│$", table, re.MULTILINE)
+    assert len(commands()) >= 11
+    assert {name.split()[0] for name, _ in rows} >= {*commands(), "--version"}, "a line that is broken has no name"
+    for name, help_line in rows:
+        assert name.strip() and len(help_line) > 15 and help_line.endswith("."), (name, help_line)
+
+
+@pytest.mark.parametrize("command", commands())
+def test_help_opens_with_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = shown(capsys, command, "--help")
+    options = re.search(r"─ (Arguments|Parameters|Commands) ─", text)
+    assert options and f"  seepast {command}" in text[: options.start()]
+
+
+def test_the_examples_of_help_name_options_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in commands():
+        text = shown(capsys, command, "--help")
+        told = set(re.findall(r"(--[a-z][a-z-]*)", text.partition("─ Parameters ─")[2]))
+        for line in re.findall(rf"^  seepast ({command} .*)$", text, re.MULTILINE):
+            for option in re.findall(r" (--[a-z][a-z-]*)", re.split(r" {2,}", line)[0]):
+                assert option in told, (line, option)
+
+
+def test_version_tells_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    text = shown(capsys, "--version")
+    assert text.startswith(f"seepast {__version__}\n") and "backend reference: found" in text and "numpy" in text
+    facts = json.loads(shown(capsys, "--version", "--json"))
+    assert facts["seepast"] == __version__ and facts["backends"]["reference"] is None and facts["cores"] >= 1
+
+
+def test_version_tells_why_a_backend_is_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def get(name: str) -> None:
+        if name == "cpu":
+            raise BackendError("backend 'cpu' cannot be loaded (no _core): reinstall")
+
+    monkeypatch.setattr(backends, "get", get)
+    text = shown(capsys, "--version")
+    assert "backend cpu: backend 'cpu' cannot be loaded (no _core): reinstall" in text
+    assert "backend reference: found" in text
+
+
+def test_extras_and_how_to_get_those_that_are_missing() -> None:
+    needs = ['numpy>=1.26; extra == "here"', 'no-such-thing>=2; extra == "gone"', 'pytest; extra == "test"', "numpy"]
+    found = about.extras(["here", "gone", "test"], needs)
+    assert set(found) == {"here", "gone"} and found["here"]["numpy"] and found["gone"] == {"no-such-thing": None}
+    facts = {**about.about(), "extras": found}
+    assert "extra gone: pip install 'seepast[gone]'" in about.about_text(facts)
+
+
+def test_the_instruction_set_is_the_best_that_is_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(about.platform, "machine", lambda: "x86_64")
+    v3 = {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe", "sse2"}
+    v4 = v3 | {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}
+    assert "v4" in str(about.simd(v4)) and "v3" in str(about.simd(v4 - {"avx512vl"}))
+    assert "SSE2" in str(about.simd(v3 - {"fma"})) and about.simd(set()) is None
+    monkeypatch.setattr(about.platform, "machine", lambda: "aarch64")
+    assert about.simd() == "NEON"
+
+
+@pytest.mark.parametrize(
+    ("words", "keys"),
+    [
+        (["run", "rec", "--out", "again", *QUICK], {"name", "out", "frames", "milliseconds", "coverage_share"}),
+        (["check", "rec"], {"cameras", "frames"}),
+        (["export", "out", "--to", "ply"], {"name", "to", "path", "frames"}),
+        (["refocus", "rec", "--out", "flat", "--depth", "3"], {"name", "frames", "disparities", "paths"}),
+        (["epi", "rec", "--row", "20", "--out", "epi.png"], {"name", "frame", "row", "cameras", "struck_out", "path"}),
+        (["models"], {"pphumanseg"}),
+        (["demo"], {"picture", "psnr", "hidden_share", "seen_share", "milliseconds"}),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_json_is_one_line_on_stdout(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    keys: set[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_recording(tmp_path / "rec")
+    if words[0] == "export":
+        shown(capsys, "run", "rec", "--out", "out", *QUICK)
+    printed = shown(capsys, *words, "--json")
+    assert printed.count("\n") == 1 and keys <= set(json.loads(printed))
+
+
+def test_json_of_synth_and_evaluate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("embreex")
+    pytest.importorskip("skimage")
+    rig = write_recording(tmp_path / "rec", size=(96, 72)) / "rig.yaml"
+    made, out = str(tmp_path / "made"), str(tmp_path / "out")
+    said = json.loads(shown(capsys, "synth", made, "--rig", str(rig), "--frames", "1", "--samples", "1", "--json"))
+    assert said == {"name": "made", "frames": 1, "figures": 2, "seed": 0, "path": made}
+    shown(capsys, "run", made, "--out", out, *QUICK)
+    printed = shown(capsys, "evaluate", made, out, "--json")
+    rows = json.loads(printed)
+    assert printed.count("\n") == 1 and len(rows) == 2 and all("NaN" not in printed for _ in rows)
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_knows_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    script = shown(capsys, "completion", shell)
+    for word in (*commands(), "settings", "segmenter", "min-coverage"):
+        assert word in script, word
+    if shutil.which(shell):
+        (tmp_path / "script").write_text(script)
+        done = subprocess.run([shell, "-n", str(tmp_path / "script")], capture_output=True, text=True)
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="there is no bash")
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("seepast ", set(commands())),
+        ("seepast r", {"run", "refocus"}),
+        ("seepast run --se", {"--segmenter", "--settings", "--set"}),
+        ("seepast run rec --backend ", {"auto", "cpu", "reference"}),
+        ("seepast models ", {"get"}),
+    ],
+)
+def test_bash_completes(typed: str, completed: set[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "script").write_text(shown(capsys, "completion", "bash"))
+    words = shlex.split(typed) + ([""] if typed.endswith(" ") else [])
+    quoted = " ".join(shlex.quote(word) for word in words)
+    drive = (
+        f"source {shlex.quote(str(tmp_path / 'script'))}; COMP_WORDS=({quoted}); COMP_CWORD={len(words) - 1}; "
+        'seepast_done() { printf "%s\\n" "${COMPREPLY[@]}"; }; _seepast; seepast_done'
+    )
+    done = subprocess.run(["bash", "-c", drive], capture_output=True, text=True)
+    assert completed <= set(done.stdout.split()), (done.stdout, done.stderr)
+    if not typed.endswith(" "):
+        assert set(done.stdout.split()) == completed

@@ -1,0 +1,167 @@
+"""seepast serve between processes: cameras in one, the server in another, the listener here, over loopback only."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("cyclonedds.domain")
+
+os.environ["CYCLONEDDS_URI"] = (wire := __import__("ros_wire")).LOOPBACK  # before the first participant
+
+from recordings import write_recording
+from seepast.options import Options
+from seepast.pipeline import Reconstructor
+from seepast.result import Result
+from seepast.rig import Rig
+
+CAMERAS, HZ, SECONDS = 5, 20, 3
+QUICK = ["--preset", "paper", "--set", "range.max_disparity=12", "--threads", "1"]
+SCENE = {"background/image_rect": wire.IMAGE, "depth/image_rect": wire.IMAGE, "coverage/image_rect": wire.IMAGE}
+INFOS = {"background/camera_info": wire.INFO, "depth/camera_info": wire.INFO}
+MASKS = {f"masks/cam{k}/image": wire.IMAGE for k in range(CAMERAS)}
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return write_recording(tmp_path / "rec", cameras=CAMERAS, size=(64, 48))
+
+
+@pytest.fixture
+def environment() -> dict[str, str]:
+    return {**os.environ, "CYCLONEDDS_URI": wire.LOOPBACK, "ROS_DOMAIN_ID": str(wire.DOMAIN)}
+
+
+@pytest.fixture
+def children() -> Iterator[list[subprocess.Popen[str]]]:
+    started: list[subprocess.Popen[str]] = []
+    yield started
+    for child in started:
+        if child.poll() is None:
+            child.kill()
+        child.wait()
+
+
+def served(recording: Path, environment: dict[str, str], children: list[Any], *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "seepast.cli", "serve", "--rig", str(recording / "rig.yaml"), "--transport", "dds"]
+    server = subprocess.Popen(
+        [*command, *QUICK, "--json", *words], env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    children.append(server)
+    assert server.stderr is not None
+    line = server.stderr.readline()
+    assert "CycloneDDS: waiting for /cam0/" in line, line + server.stderr.read()
+    return server
+
+
+def published(recording: Path, environment: dict[str, str], children: list[Any], *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, str(Path(wire.__file__)), str(recording), "--hz", str(HZ), "--seconds", str(SECONDS)]
+    children.append(subprocess.Popen([*command, *words], env=environment, text=True, stdout=subprocess.PIPE))
+    return children[-1]
+
+
+def listen(readers: dict[str, Any], cameras: subprocess.Popen[str]) -> dict[str, list[Any]]:
+    """All that comes while the cameras run, and half a second longer."""
+    heard: dict[str, list[Any]] = {name: [] for name in readers}
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        for name, take in readers.items():
+            heard[name] += take()
+        if cameras.poll() is not None:
+            end = min(end, time.monotonic() + 0.5)
+        time.sleep(0.02)
+    assert cameras.returncode == 0
+    return heard
+
+
+def truth(recording: Path, masked: bool) -> Result:
+    rig = Rig.from_kalibr(recording / "rig.yaml")
+    images = [cv2.imread(str(recording / f"{c.name}/000000.png"), -1) for c in rig.cameras]
+    masks = [cv2.imread(str(recording / f"masks/{c.name}/000000.png"), 0) for c in rig.cameras] if masked else None
+    options = Options.preset("paper").updated({"range.max_disparity": 12})
+    return Reconstructor(rig, options=options)(images, masks)
+
+
+def test_cameras_of_another_process_are_seen_through(
+    recording: Path, environment: dict[str, str], children: list[Any]
+) -> None:
+    ros = wire.Ros(wire.DOMAIN)
+    readers = {name: ros.reader(f"/seepast/{name}", kind) for name, kind in {**SCENE, **INFOS, **MASKS}.items()}
+    words = ("--topics", "/{}/image_raw", "--masks", "topics:/{}/mask", "--every", "1")
+    server = served(recording, environment, children, *words)
+    heard = listen(readers, published(recording, environment, children, "--masks", "masks", "--lose", "cam3:4"))
+    server.send_signal(signal.SIGTERM)
+    out, err = server.communicate(timeout=20)
+    assert server.returncode == 0, err
+    report = json.loads(out)
+
+    ticks = HZ * SECONDS
+    assert ticks * 0.9 <= report["images"] / (2 * CAMERAS) <= ticks
+    assert report["frames"] <= ticks * 3 // 4, "frames without the lost images of cam3"
+    lost = report["images_dropped"]["/cam3/image_raw had nothing within 5 ms of them"]
+    assert 0.5 * (2 * CAMERAS - 1) * ticks / 4 <= lost <= (2 * CAMERAS - 1) * ticks / 4
+    assert report["published"] + sum(report["frames_dropped"].values()) + 1 >= report["frames"]
+    assert report["published"] >= 5 and 0 < report["latency_ms"][0] <= report["latency_ms"][1]
+    assert report["latency_ms"][0] <= report["age_ms"][0] + 1, "stamps are older than what has arrived"
+    assert "latency" in err and "out (" in err, "figures every second"
+    check_heard(heard, truth(recording, masked=True), report["published"])
+
+
+def check_heard(heard: dict[str, list[Any]], expected: Result, published: int) -> None:
+    backgrounds = heard["background/image_rect"]
+    assert published * 0.8 <= len(backgrounds) <= published
+    last = backgrounds[-1]
+    assert last.encoding == "bgr8" and last.header.frame_id == "cam0_optical"
+    assert np.array_equal(wire.pixels_of(last), expected.background)
+    stamp = wire.stamp_of(last)
+    by_stamp = {name: {wire.stamp_of(m): m for m in messages} for name, messages in heard.items()}
+    depth = by_stamp["depth/image_rect"][stamp]
+    unknown = (expected.depth == 0) | (expected.coverage == 0)
+    assert depth.encoding == "32FC1" and unknown.any() and not unknown.all()
+    assert np.array_equal(wire.pixels_of(depth), np.where(unknown, np.nan, expected.depth), equal_nan=True)
+    assert np.array_equal(wire.pixels_of(by_stamp["coverage/image_rect"][stamp]), expected.coverage)
+    for name in INFOS:
+        info = by_stamp[name][stamp]
+        assert info.header.frame_id == "cam0_optical" and (info.width, info.height) == (64, 48)
+        (fx, fy), (cx, cy) = expected.geometry.focal, expected.geometry.center
+        assert np.allclose(info.k, [fx, 0, cx, 0, fy, cy, 0, 0, 1]) and np.allclose(info.r, np.eye(3).ravel())
+        assert np.allclose(info.p.reshape(3, 4)[:, :3].ravel(), info.k) and not info.p.reshape(3, 4)[:, 3].any()
+    for k in range(CAMERAS):
+        mask = by_stamp[f"masks/cam{k}/image"][stamp + k * wire.SKEW]
+        assert mask.encoding == "mono8" and mask.header.frame_id == f"cam{k}_optical"
+        assert np.array_equal(wire.pixels_of(mask), expected.masks[k])
+
+
+def test_compressed_images_without_masks_and_ctrl_c(
+    recording: Path, environment: dict[str, str], children: list[Any]
+) -> None:
+    ros = wire.Ros(wire.DOMAIN)
+    readers = {"background": ros.reader("/robot/static/background/image_rect", wire.IMAGE)}
+    words = (
+        "--topics",
+        "/{}/image_raw/compressed",
+        "--masks",
+        "none",
+        "--namespace",
+        "robot/static",
+        "--qos",
+        "reliable",
+    )
+    server = served(recording, environment, children, *words)
+    heard = listen(readers, published(recording, environment, children, "--compressed", "--seconds", "1"))
+    server.send_signal(signal.SIGINT)
+    out, err = server.communicate(timeout=20)
+    assert server.returncode == 0, err
+    assert json.loads(out)["images_dropped"] == {}
+    assert np.array_equal(wire.pixels_of(heard["background"][-1]), truth(recording, masked=False).background)
