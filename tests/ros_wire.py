@@ -32,6 +32,7 @@ LOOPBACK = (
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<Peers><Peer address='127.0.0.1'/></Peers></Discovery></Domain></CycloneDDS>"
 )
+os.environ["CYCLONEDDS_URI"] = LOOPBACK  # read with the first participant, here and in processes that are started
 DOMAIN = 100 + os.getpid() % 100  # that two test runs on one machine do not meet
 SKEW = 1_000_000  # ns between the stamps of neighbouring cameras
 

@@ -13,6 +13,7 @@ import pytest
 
 from recordings import write_recording
 from seepast import __version__, about, backends, cli
+from seepast.commands.reflow import reflowed
 from seepast.errors import BackendError
 
 QUICK = ["--preset", "paper", "--set", "range.max_disparity=12"]
@@ -166,3 +167,26 @@ def test_bash_completes(typed: str, completed: set[str], tmp_path: Path, capsys:
     assert completed <= set(done.stdout.split()), (done.stdout, done.stderr)
     if not typed.endswith(" "):
         assert set(done.stdout.split()) == completed
+
+
+def test_help_joins_the_lines_of_paragraphs_and_nothing_else() -> None:
+    written = """One line.
+
+    A paragraph of
+    two lines
+
+      seepast an example
+      seepast another
+
+    Parameters
+    ----------
+    out
+        Described in
+        two lines.
+    other
+        In one.
+    """
+    assert reflowed(written) == (
+        "One line.\n\nA paragraph of two lines\n\n  seepast an example\n  seepast another\n\n"
+        "Parameters\n----------\nout\n    Described in two lines.\nother\n    In one."
+    )

@@ -199,7 +199,7 @@ def test_stale_instants_are_dropped_and_counted_never_queued() -> None:
     server = Server(RIG, PAPER, memory, Inputs(IMAGES), segmenter=slow)  # type: ignore[arg-type]
     feeder = threading.Thread(target=instants, args=(memory, 60, lambda s: image(s, (s - START) // (50 * MS)), 0.01))
     reports: list[Any] = []
-    threading.Timer(0.05, feeder.start).start()
+    feeder.start()
     report = run_once(server, 1.5, every=0.4, on_report=reports.append)
     assert report.images == 180 and report.frames == 60
     assert report.frames_dropped[STALE] + report.published == 60 and report.frames_dropped[STALE] > 20
@@ -317,8 +317,13 @@ def rig_file(tmp_path: Path) -> Path:
     ],
 )
 def test_what_is_wrong_is_told_in_a_line(
-    words: list[str], expected: str, rig_file: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str],
+    expected: str,
+    rig_file: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
     assert cli.main(["serve", "--rig", str(rig_file), "--seconds", "1", *words]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and expected in error
@@ -327,6 +332,7 @@ def test_what_is_wrong_is_told_in_a_line(
 def test_without_either_transport_the_extra_is_named(
     rig_file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(sys.modules, "rclpy", None)
     monkeypatch.setitem(sys.modules, "cyclonedds", None)
     monkeypatch.setitem(sys.modules, "cyclonedds.domain", None)
     assert cli.main(["serve", "--rig", str(rig_file), "--topics", "/{}/x", "--masks", "none"]) == 2

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,10 +19,11 @@ import numpy as np
 import pytest
 
 pytest.importorskip("cyclonedds.domain")
+pytest.importorskip("rosbags.typesys")
 
-os.environ["CYCLONEDDS_URI"] = (wire := __import__("ros_wire")).LOOPBACK  # before the first participant
-
+import ros_wire as wire
 from recordings import write_recording
+from seepast import cli
 from seepast.options import Options
 from seepast.pipeline import Reconstructor
 from seepast.result import Result
@@ -40,7 +43,7 @@ def recording(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def environment() -> dict[str, str]:
-    return {**os.environ, "CYCLONEDDS_URI": wire.LOOPBACK, "ROS_DOMAIN_ID": str(wire.DOMAIN)}
+    return {**os.environ, "ROS_DOMAIN_ID": str(wire.DOMAIN)}
 
 
 @pytest.fixture
@@ -165,3 +168,30 @@ def test_compressed_images_without_masks_and_ctrl_c(
     assert server.returncode == 0, err
     assert json.loads(out)["images_dropped"] == {}
     assert np.array_equal(wire.pixels_of(heard["background"][-1]), truth(recording, masked=False).background)
+
+
+README = Path(__file__).parents[1] / "README.md"
+COMMANDS = re.findall(r"^    ((?:\w+=\w+ )?seepast serve .+?)(?: {2,}.*)?$", README.read_text(), re.MULTILINE)
+
+
+def test_the_readme_shows_where_masks_come_from() -> None:
+    assert len(COMMANDS) >= 4
+    assert all(any(words in command for command in COMMANDS) for words in ("topics:", "onnx:", "--masks none"))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_commands_of_the_readme_start_and_end(
+    command: str, recording: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "onnx:" in command:
+        pytest.importorskip("onnxruntime")
+        import onnx_nets
+
+        onnx_nets.logits(recording / "net.onnx", np.eye(19, 3), (64, 64))
+    monkeypatch.chdir(recording)
+    before, _, words = command.rpartition("seepast ")
+    for name, value in (("ROS_DOMAIN_ID", str(wire.DOMAIN)), *(pair.split("=") for pair in before.split())):
+        monkeypatch.setenv(name, value)
+    assert cli.main([*shlex.split(words), "--seconds", "0.5", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["frames"] == 0 and "waiting for /cam0/image_raw" in err and err.count("\n") == 1

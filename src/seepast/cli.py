@@ -21,11 +21,14 @@ from .commands.console import say_error as _say_error
 from .commands.epi import epi
 from .commands.export import export
 from .commands.models import models
+from .commands.reflow import reflow_help
 from .commands.refocus import refocus
 from .commands.run import Flag, Masks, run
 from .commands.serve import serve
+from .commands.source import Source
 from .commands.version import version
 from .commands.view import view
+from .commands.watching import Viewing
 from .errors import SeepastError
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
@@ -226,6 +229,9 @@ def demo(*, out: Path = Path("demo-out"), backend: Backend = "auto", json_: Json
     shares = {"hidden_share": done.hidden_share, "seen_share": done.seen_share, "psnr": done.psnr}
     say(f"{text}\n{picture}", {**done.summary.as_dict(), **shares, "picture": picture}, json_)
     return 0
+
+
+reflow_help(app, Source, Viewing)
 
 
 class _StderrHandler(logging.Handler):
