@@ -48,6 +48,7 @@ class FakeReconstructor:
             background=images[self.settings["reference"]],
             disparity=depth,
             depth=depth,
+            confidence=np.ones_like(depth),
             coverage=coverage,
             labels=np.zeros((height, width), np.uint16),
             masks=tuple(masks or [np.zeros((height, width), np.uint8) for _ in images]),
@@ -85,7 +86,7 @@ def test_run_writes_the_output_and_one_line(tmp_path: Path, capsys: pytest.Captu
     line = rf"rec: 2 frames, \d+ ms per frame, coverage 50\.0 %, {re.escape(str(tmp_path / 'out'))}\n"
     assert re.fullmatch(line, printed.out)
     assert printed.err == "", "no progress bar where there is no terminal"
-    kinds = {"background/{}.png", "disparity/{}.pfm", "depth/{}.png", "coverage/{}.png"}
+    kinds = {"background/{}.png", "disparity/{}.pfm", "depth/{}.png", "confidence/{}.png", "coverage/{}.png"}
     kinds |= {f"masks/cam{k}/{{}}.png" for k in range(3)}
     assert names(tmp_path / "out") == {k.format(s) for k in kinds for s in "ab"} | {"run.json", "camera.yaml"}
 

@@ -34,6 +34,7 @@ def result(seed: int = 0, milliseconds: float = 10.0) -> Result:
         background=rng.integers(0, 255, (35, 48, 3), np.uint8),
         disparity=disparity,
         depth=GEOMETRY.depth(disparity),
+        confidence=rng.random((35, 48), np.float32),
         coverage=coverage,
         labels=np.zeros((35, 48), np.uint16),
         masks=tuple(rng.integers(0, 255, (36, 50), np.uint8) for _ in CAMERAS),
@@ -51,7 +52,7 @@ def names(folder: Path) -> set[str]:
 
 def frame_names(stamp: str) -> set[str]:
     masks = {f"masks/{camera}/{stamp}.png" for camera in CAMERAS}
-    singles = {f"{kind}/{stamp}.png" for kind in ("background", "depth", "coverage")}
+    singles = {f"{kind}/{stamp}.png" for kind in ("background", "depth", "confidence", "coverage")}
     return masks | singles | {f"disparity/{stamp}.pfm"}
 
 

@@ -69,6 +69,7 @@ def result(shape: ArrayGeometry, seed: int, grey: bool) -> Result:
         background=rng.integers(0, 256, (HEIGHT, WIDTH) if grey else (HEIGHT, WIDTH, 3), np.uint8),
         disparity=disparity,
         depth=shape.depth(disparity),
+        confidence=np.full((HEIGHT, WIDTH), 0.5, np.float32),
         coverage=coverage,
         labels=np.zeros((HEIGHT, WIDTH), np.uint16),
         masks=tuple(rng.integers(0, 256, (HEIGHT + 1, WIDTH + k), np.uint8) for k in range(3)),
@@ -89,6 +90,7 @@ def write_run(
     with FolderWriter(folder, run, cameras) as writer:
         for stamp, frame in results.items():
             writer.write(stamp, frame, 1.0)
+            (folder / "confidence" / f"{stamp}.png").unlink()  # as runs of before there was any
             if confidence:
                 write_pfm(folder / "confidence" / f"{stamp}.pfm", frame.coverage.astype(np.float32) / 4)
     return Truth(folder, shape, results)

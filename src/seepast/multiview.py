@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from . import backends
+from . import backends, confidence
 from .candidates import Candidates, DisparityGrid
+from .confidence import ray_count
 from .frames import Frame
 from .geometry import ArrayGeometry
 from .levels import Level, Views, beside, enlarged, landings, level_grid, scales
@@ -71,13 +72,17 @@ def see_past(
     with clock("refocus"):  # I* = sum_k w_k S^k I_k(x^k) / sum_k w_k S^k
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
+    with clock("confidence"):  # P(|d - truth| <= 1 px)
+        evidence = confidence.of_views(d, found.disparity, static, shown, geometry, backend)
+        sure = confidence.probability(evidence, confidence.VIEWS)
     disparity = d.astype(np.float32) / np.float32(UNITS)
     if dynamic_only:  # the rest keeps its own ray, and no disparity
         shown = np.where(keep, np.uint16(1 << r), shown)
-        disparity = np.where(keep, np.float32(0), disparity)
+        disparity, sure = np.where(keep, np.float32(0), disparity), np.where(keep, np.float32(0), sure)
     return {
         "background": background[..., : frame.colour.shape[-1]],
         "disparity": disparity,
+        "confidence": sure,
         "coverage": ray_count(shown),
         "labels": shown,
         "dynamic": dynamic,
@@ -87,15 +92,6 @@ def see_past(
 def three_channels(colour: np.ndarray) -> np.ndarray:
     """Grey views as BGR: uint8 [K, H, W, C] -> [K, H, W, 3], contiguous."""
     return np.ascontiguousarray(np.broadcast_to(colour, (*colour.shape[:-1], 3)))
-
-
-COUNTS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(1, dtype=np.uint8)
-
-
-def ray_count(labels: np.ndarray) -> np.ndarray:
-    """Number of rays of every label set: uint8, same shape."""
-    halves = cv2.LUT(np.ascontiguousarray(labels).view(np.uint8), COUNTS)
-    return halves[:, ::2] + halves[:, 1::2]
 
 
 def agreement(o: MultiviewOptions) -> int:
@@ -140,7 +136,7 @@ def at_level(
             energy, polled = costs[k], candidates[k]
             if once_more:  # with what the others saw; the other views are heard on what is hidden only
                 with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                    if hides is not None and k != r:
+                    if before is not None and hides is not None and k != r:
                         polled = polled.where(finer(hides[k], before, level))
                     energy = voted(energy, polled, k, seen, views[k], VoteWeights.of(o), backend)
             with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
@@ -205,12 +201,12 @@ def around_people(found: Views) -> np.ndarray:
 def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
-    Everywhere; or, at full size without fine_views, the other views only around what people hide from the wanted
-    one; with dynamic_only that one too.
+    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one; with
+    dynamic_only that one too.
     """
     if hides is None:
         return None
-    area = hides.copy() if dynamic_only or not (o.fine_views or level.scale > 1) else np.ones_like(hides)
+    area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
     area[level.geometry.reference] |= not dynamic_only
     return area
 

@@ -143,10 +143,14 @@ class MultiviewOptions(StageOptions):
     coarsest: int = option(
         2, "", 1, 16, "views are first matched reduced this often, then at twice that size and so on"
     )
-    window: float = option(4.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
+    window: float = option(2.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
     spread: int = option(4, "px", 0, 16, "and of its neighbours that near: thin things are easily missed there")
     fine_views: bool = option(
-        True, "", None, None, "at full size all views are matched everywhere; else only around what people hide"
+        True,
+        "",
+        None,
+        None,
+        "on finer levels the other views are matched everywhere; else only around what people hide",
     )
     paths: int = option(8, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
     colour_cap: int = option(33, "", 0, 100, "a pair's mean colour step costs no more; the census is 96 at most")
@@ -254,5 +258,12 @@ def _nearest(key: str, known: Mapping[str, Any]) -> str:
 DEFAULT_PRESET = "accurate"
 PRESETS: dict[str, Options] = {
     "paper": Options(),
+    "fast": Options(
+        rectify=RectifyOptions(interpolation="linear"),
+        multiview=MultiviewOptions(
+            enabled=True, coarsest=4, rounds=1, spread=2, fine_views=False, paths=4, planes=False
+        ),
+        people=PeopleOptions(surface_width=250),
+    ),
     "accurate": Options(multiview=MultiviewOptions(enabled=True)),
 }

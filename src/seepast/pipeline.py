@@ -15,7 +15,7 @@ from types import ModuleType
 
 import numpy as np
 
-from . import backends, multiview
+from . import backends, confidence, multiview
 from .ahead import ahead
 from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
@@ -26,7 +26,17 @@ from .rectify import rectify
 from .result import Result
 from .rig import Rig
 
-STAGES = ("rectify", "describe", "support", "prior", "disparity", "segmentation", "masks", "refocus")  # of see_past
+STAGES = (
+    "rectify",
+    "describe",
+    "support",
+    "prior",
+    "disparity",
+    "segmentation",
+    "masks",
+    "refocus",
+    "confidence",
+)  # of see_past
 
 
 def see_past(
@@ -86,9 +96,18 @@ def see_past(
         kept = keep if options.refocus.keep_reference else ~wanted
         surface = np.where(wanted, d, prior.mean.astype(np.float32) / EIGHTHS)  # around the rest, to fill from
         background, coverage = backend.refocus(frame.colour, labels, geometry, surface, kept, options.refocus)
+    with clock("confidence"):  # P(|d - truth| <= 1 px)
+        sure = confidence.probability(confidence.of_labels(d, labels, geometry.reference), confidence.PAPER)
+    if dynamic_only:
+        sure[~wanted] = 0
     return {
-        "background": background, "disparity": d, "coverage": coverage, "labels": labels, "dynamic": dynamic
-    }, rounds  # fmt: skip
+        "background": background,
+        "disparity": d,
+        "confidence": sure,
+        "coverage": coverage,
+        "labels": labels,
+        "dynamic": dynamic,
+    }, rounds
 
 
 class Clock:
@@ -209,6 +228,7 @@ class Reconstructor:
             background=background if prepared.in_colour else background[..., 0],
             disparity=found["disparity"],
             depth=geometry.depth(found["disparity"]),
+            confidence=found["confidence"],
             coverage=found["coverage"],
             labels=found["labels"],
             masks=refined,

@@ -17,6 +17,8 @@ class Result:
     background  uint8 [H, W, 3] BGR, or [H, W] for grey input: the scene as if the people were not there
     disparity   float32 [H, W] px over the array, f * B / Z (geometry.py); 0 = unknown
     depth       float32 [H, W] metres along the reference camera's z axis; 0 = unknown
+    confidence  float32 [H, W] in 0..1, P(|disparity - truth| <= 1 px), calibrated on scenes with truth (confidence.py);
+                0 where no camera saw the pixel or the disparity is unknown
     coverage    uint8 [H, W]: how many cameras' static rays the pixel rests on. 0 = no camera saw it: what
                 stands there is a guess
     labels      uint16 [H, W]: which rays, bit k = camera k
@@ -29,6 +31,7 @@ class Result:
     background: np.ndarray
     disparity: np.ndarray
     depth: np.ndarray
+    confidence: np.ndarray
     coverage: np.ndarray
     labels: np.ndarray
     masks: tuple[np.ndarray, ...]

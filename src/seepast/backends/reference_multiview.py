@@ -247,10 +247,11 @@ def path_costs(costs, image, static, penalties: Penalties, dy: int, dx: int) -> 
         lowest = before.min(-1, keepdims=True)
         step = np.abs(image[y, to].astype(np.int32) - image[y - dy, at]).sum(-1)
         large = np.where(static[y, to] & static[y - dy, at], penalties.large[step].astype(np.int32), penalties.dynamic)
-        near = np.full((before.shape[0], count + 2), 1 << 20)
+        near = np.full((before.shape[0], count + 2), INACTIVE)
         near[:, 1:-1] = before
         near = np.minimum(near[:, :-2], near[:, 2:]) + penalties.small
-        out[y, to] += np.minimum(np.minimum(before, near), lowest + large[:, None]) - lowest
+        way = np.minimum(np.minimum(before, near), lowest + large[:, None]) - lowest
+        out[y, to] += np.where(out[y, to] < INACTIVE, way, 0)
     return out
 
 

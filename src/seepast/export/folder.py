@@ -1,4 +1,4 @@
-"""Folders out: background/, disparity/, depth/, coverage/, masks/camK/, camera.yaml and run.json.
+"""Folders out: background/, disparity/, depth/, confidence/, coverage/, masks/camK/, camera.yaml and run.json.
 
 Every file appears whole or not at all, and a frame counts as done once its last file is there, so a run that
 was interrupted, killed or out of disk space goes on with the next frame when it is started again.
@@ -106,7 +106,7 @@ class FolderWriter:
     def files(self, stamp: str) -> list[Path]:
         """The files of one frame in the order they are written."""
         masks = [self.out / "masks" / name / f"{stamp}.png" for name in self.cameras]
-        kinds = ("background/{}.png", "disparity/{}.pfm", "depth/{}.png")
+        kinds = ("background/{}.png", "disparity/{}.pfm", "depth/{}.png", "confidence/{}.png")
         last = self.out / "coverage" / f"{stamp}.png"
         return [self.out / kind.format(stamp) for kind in kinds] + masks + [last]
 
@@ -119,11 +119,12 @@ class FolderWriter:
             self._write_run()
         if not (self.out / CAMERA_FILE).is_file():
             self._write_camera(result.geometry)
-        background, disparity, depth, *masks, coverage = self.files(stamp)
+        background, disparity, depth, confidence, *masks, coverage = self.files(stamp)
         coverage.unlink(missing_ok=True)  # a frame that is redone is unfinished until the end
         atomic.write_png(background, result.background)
         atomic.write_pfm(disparity, result.disparity)
         atomic.write_png(depth, depth_millimetres(result.depth))
+        atomic.write_png(confidence, np.rint(255 * result.confidence).astype(np.uint8))
         for path, mask in zip(masks, result.masks, strict=True):
             atomic.write_png(path, mask)
         atomic.write_png(coverage, result.coverage)
@@ -285,9 +286,9 @@ def _differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]
 
 def _remove_results(out: Path) -> None:
     """Remove what a run writes, run.json last, and nothing else."""
-    patterns = ("coverage/*.png", "background/*.png", "disparity/*.pfm", "depth/*.png", "masks/cam*/*.png")
+    kinds = ("coverage/*.png", "background/*.png", "disparity/*.pfm", "depth/*.png", "confidence/*.png")
     try:
-        for pattern in (*patterns, CAMERA_FILE, RUN_FILE):
+        for pattern in (*kinds, "masks/cam*/*.png", CAMERA_FILE, RUN_FILE):
             for path in out.glob(pattern):
                 path.unlink()
     except OSError as error:
