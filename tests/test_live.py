@@ -8,6 +8,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -153,6 +154,7 @@ class Memory:
         self.kinds: dict[str, type] = {}
         self.sent: list[tuple[str, Any]] = []
         self.takes = True
+        self.on_start: Callable[[], None] = lambda: None
 
     def subscribe(self, topic: str, kind: type, deliver: Callable[[Any], None]) -> None:
         self.deliver[topic], self.kinds[topic] = deliver, kind
@@ -165,7 +167,8 @@ class Memory:
 
         return publish
 
-    def start(self) -> None: ...
+    def start(self) -> None:
+        self.on_start()
 
     def close(self) -> None: ...
 
@@ -199,12 +202,12 @@ def test_stale_instants_are_dropped_and_counted_never_queued() -> None:
     server = Server(RIG, PAPER, memory, Inputs(IMAGES), segmenter=slow)  # type: ignore[arg-type]
     feeder = threading.Thread(target=instants, args=(memory, 60, lambda s: image(s, (s - START) // (50 * MS)), 0.01))
     reports: list[Any] = []
-    feeder.start()
-    report = run_once(server, 1.5, every=0.4, on_report=reports.append)
+    memory.on_start = feeder.start
+    report = run_once(server, 2.0, every=0.4, on_report=reports.append)
     assert report.images == 180 and report.frames == 60
     assert report.frames_dropped[STALE] + report.published == 60 and report.frames_dropped[STALE] > 20
     assert seen == sorted(seen) and seen[-1] == 59, "the newest is always next, and the last is not lost"
-    assert report.latency_ms is not None and 50 <= report.latency_ms[0] < 400, "one instant waits at most"
+    assert report.latency_ms is not None and 50 <= report.latency_ms[0] < 700, "one instant waits at most"
     assert len(reports) >= 3 and sum(r.frames for r in reports) <= 60
     assert sum(r.frames_dropped.get(STALE, 0) for r in reports) <= report.frames_dropped[STALE]
 
@@ -242,22 +245,29 @@ def test_masks_of_topics_reach_the_method_and_come_back_refined() -> None:
     assert not sent["/x/masks/cam0/image"].data.any() and sent["/x/masks/cam1/image"].data.any()
 
 
-def test_a_view_that_is_turned_has_a_frame_of_its_own(tmp_path: Path) -> None:
-    turned = Rig.linear(3, focal=48.0, spacing=0.1, size=SIZE)
-    angle = np.radians(2)
-    rotation = np.eye(4)
-    rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-    cameras = [type(c)(**{**vars(c), "cam_from_rig": rotation @ c.cam_from_rig}) for c in turned.cameras]
-    bent = Rig((turned.cameras[0], *cameras[1:]))
-    for rig, frame_id, expected in ((RIG, "lens", "lens"), (RIG, "", "cam0"), (bent, "lens", None)):
-        memory = Memory()
-        server = Server(rig, PAPER, memory, Inputs(IMAGES))
-        instants(memory, 1, lambda stamp, f=frame_id: image(stamp, frame_id=f))
-        run_once(server, 0.3)
-        identity = np.array_equal(server._reconstructor.rectification.rotation_from_cam[0], np.eye(3))
-        found = dict(memory.sent)["/seepast/background/image_rect"].frame_id
-        assert found == (expected or ("lens" if identity else "lens_rect"))
-        assert dict(memory.sent)["/seepast/masks/cam0/image"].frame_id == (frame_id or "cam0")
+def crooked() -> Rig:
+    """The cameras' line falls to the right, so that every rectified view is turned."""
+    cameras = list(RIG.cameras)
+    for k, camera in enumerate(cameras):
+        pose = camera.cam_from_rig.copy()
+        pose[1, 3] = -0.02 * k
+        cameras[k] = replace(camera, cam_from_rig=pose)
+    return Rig(tuple(cameras))
+
+
+@pytest.mark.parametrize(
+    ("rig", "given", "expected"),
+    [(RIG, "lens", "lens"), (RIG, "", "cam0"), (crooked(), "lens", "lens_rect"), (crooked(), "", "cam0_rect")],
+)
+def test_a_view_that_is_turned_has_a_frame_of_its_own(rig: Rig, given: str, expected: str) -> None:
+    memory = Memory()
+    server = Server(rig, PAPER, memory, Inputs(IMAGES))
+    instants(memory, 1, lambda stamp: image(stamp, frame_id=given))
+    run_once(server, 0.3)
+    sent = dict(memory.sent)
+    assert {sent[f"/seepast/{name}/image_rect"].frame_id for name in ("background", "depth", "coverage")} == {expected}
+    assert sent["/seepast/depth/camera_info"].frame_id == expected
+    assert sent["/seepast/masks/cam0/image"].frame_id == (given or "cam0")
 
 
 def test_grey_cameras_give_a_grey_scene() -> None:

@@ -68,6 +68,7 @@ def view_server(web_port: int = WEB_PORT) -> Iterator[ViewServer]:
         yield ViewServer(f"http://{HOST}:{web_port}/?url={quote(grpc, safe='')}", grpc, process)
     finally:
         _end(process)
+        _wait_until_free((web_port, grpc_port))
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
@@ -87,6 +88,13 @@ def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
                 "the rerun viewer did not start; `python -m rerun --serve-web` tells why, --save FILE does without it"
             )
         time.sleep(0.1)
+
+
+def _wait_until_free(ports: tuple[int, ...]) -> None:
+    """What was killed takes a moment to let go of its ports."""
+    end = time.monotonic() + 5
+    while any(_listening(port) for port in ports) and time.monotonic() < end:
+        time.sleep(0.02)
 
 
 def _listening(port: int) -> bool:
