@@ -2,6 +2,7 @@
 # make test    the tests
 # make bench-speed    the speed of every stage on this machine (make bench is the same)
 # make bench-quality DATA=folder    the quality on recordings with truth, beside baselines
+# make bench-ablation DATA=folder    what every idea is worth, switched off alone
 # make bench-calibration DATA=folder    whether the confidence is right, on recordings with truth
 # make docs    the documentation, to build/docs/index.html
 # make lint    style and types
@@ -16,7 +17,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && { echo $$p; break; }; done)
 PIP    := $(PY) -m pip --quiet --disable-pip-version-check install
 
-.PHONY: demo test bench bench-speed bench-quality bench-calibration docs lint
+.PHONY: demo test bench bench-speed bench-quality bench-ablation bench-calibration docs lint
 .DELETE_ON_ERROR:
 
 demo: $(CORE)
@@ -36,6 +37,10 @@ bench-speed: $(VENV)/.test-installed
 bench-quality: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
 	@$(PY) benchmarks/quality.py "$(DATA)" $(BENCH) $(if $(MASKS),--masks "$(MASKS)") $(if $(SECTION),--section "$(SECTION)")
+
+bench-ablation: $(VENV)/.test-installed
+	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }
+	@$(PY) benchmarks/ablation.py "$(DATA)" $(if $(WRITE),--write "$(WRITE)") $(if $(MASKS),--masks "$(MASKS)")
 
 bench-calibration: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }

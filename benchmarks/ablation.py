@@ -23,7 +23,7 @@ SCENE = {
     "one round: the views do not hear each other": {"multiview.rounds": 1},
     "candidates a whole pixel apart": {"range.step": 1},
     "4 paths": {"multiview.paths": 4},
-    "matching without colour": {"multiview.colour_weight": 0},
+    "matching without colour": {"multiview.colour_cap": 0},
     "nearer candidates hide nothing": {"multiview.vote_hide": 0},
     "what one camera sees alone is doubted (.3)": {"multiview.lone_confidence": 0.3},
     "no planes": {"multiview.planes": False},

@@ -27,7 +27,6 @@ import scenes
 from common import machine, replace_section
 
 TESTS = Path(__file__).parents[1] / "tests"
-SETTLED = 15.0  # seconds after which memory should not grow
 EVERY = 1.0  # seconds between two looks at it
 
 
@@ -103,14 +102,14 @@ def _resident(process: int) -> float:
 
 
 def _told(report: dict, memory: np.ndarray) -> str:
-    settled = memory[memory[:, 0] >= SETTLED]
-    slope = 60 * float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) if len(settled) > 2 else float("nan")
+    halves = [half[:, 1] for half in np.array_split(memory[len(memory) // 10 :], 2)]
+    low, high = min(map(np.min, halves)), max(map(np.max, halves))
     latency, age = report["latency_ms"], report["age_ms"]
     lines = [
         f"{report['images']} messages, {report['frames']} instants, {report['published']} results; latency "
         f"{latency[0]:.0f} ms median, {latency[1]:.0f} ms 95 % ({age[0]:.0f} and {age[1]:.0f} since the stamp).",
-        f"Resident memory after {SETTLED:g} s: {settled[:, 1].min():.0f} to {settled[:, 1].max():.0f} MB, "
-        f"growing by {slope:+.2f} MB a minute.",
+        f"Resident memory {low:.0f} to {high:.0f} MB; mean of the first half {halves[0].mean():.0f}, of the second "
+        f"{halves[1].mean():.0f} MB.",
     ]
     for what in ("frames", "images"):
         for reason, number in report[f"{what}_dropped"].items():

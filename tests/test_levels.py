@@ -72,7 +72,7 @@ def test_grid_of_a_huge_span_still_fits_the_masks():
 
 
 def test_enlarged_repeats_pixels_and_continues_edges():
-    views = np.arange(6).reshape(1, 2, 3)
+    views = np.arange(6, dtype=np.uint16).reshape(1, 2, 3)
     assert np.array_equal(enlarged(views, 2, (5, 7))[0, :, 4:], [[2, 2, 2]] * 2 + [[5, 5, 5]] * 3)
     assert enlarged(views, 1, (2, 3)) is views
 

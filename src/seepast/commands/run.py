@@ -74,8 +74,8 @@ def run(
         YAML file of flags (reference: cam2) and options (range: {max_disparity: 150}), or the run.json of an earlier
         run; flags of the command line win over it.
     preset
-        accurate (default): every camera a reference, then they vote; the best pictures, seconds a frame. paper: the
-        stages of Kaveti et al. 2020, ten times faster.
+        accurate (default): every camera a reference, then they vote; the best pictures. fast: the same, coarser
+        where nobody is hidden. paper: the stages of Kaveti et al. 2020.
     reference
         The camera whose view is reconstructed (default: cam0).
     backend

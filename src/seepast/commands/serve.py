@@ -84,7 +84,7 @@ def serve(
     settings
         File of settings as of `seepast run`; flags of the command line win over it.
     preset
-        accurate (default) or paper, which is faster; see `seepast run`.
+        accurate (default), fast or paper; see `seepast run`.
     reference
         The camera whose view is reconstructed (default: cam0).
     backend
