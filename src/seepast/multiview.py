@@ -230,7 +230,7 @@ def around(
     if before is None or area is None:
         return Candidates.all(grid, shape)
     ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
-    return Candidates.of(grid, backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape))
+    return backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape)
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
