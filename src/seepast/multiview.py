@@ -74,7 +74,7 @@ def see_past(
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
         evidence = confidence.of_views(d, found.disparity, static, shown, geometry, backend)
-        sure = confidence.probability(evidence, confidence.VIEWS)
+        sure = confidence.probability(evidence, confidence.calibration(options))
     disparity = d.astype(np.float32) / np.float32(UNITS)
     if dynamic_only:  # the rest keeps its own ray, and no disparity
         shown = np.where(keep, np.uint16(1 << r), shown)
