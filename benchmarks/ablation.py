@@ -22,7 +22,7 @@ SCENE = {
     "windows of 1 px": {"multiview.window": 1},
     "one round: the views do not hear each other": {"multiview.rounds": 1},
     "candidates a whole pixel apart": {"range.step": 1},
-    "4 paths": {"multiview.paths": 4},
+    "8 paths": {"multiview.paths": 8},
     "matching without colour": {"multiview.colour_cap": 0},
     "nearer candidates hide nothing": {"multiview.vote_hide": 0},
     "what one camera sees alone is doubted (.3)": {"multiview.lone_confidence": 0.3},
@@ -30,7 +30,6 @@ SCENE = {
     "all cameras' colours count alike": {"multiview.camera_falloff": 0},
     "colours beside masks count in full": {"multiview.edge_weight": 1},
     "any static ray lends its colour": {"multiview.label_tolerance": 16},
-    "no median at seams": {"refocus.median": False},
 }
 MASKS = {
     "all on": {},

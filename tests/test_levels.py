@@ -11,7 +11,7 @@ from arrays import make_scene
 from seepast import Options, multiview
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
-from seepast.candidates import CHUNK, Candidates, DisparityGrid
+from seepast.candidates import CHUNK, DisparityGrid
 from seepast.frames import Frame
 from seepast.levels import MOST_CHUNKS, Level, Views, enlarged, level_grid, reduced, scales
 from seepast.many import UNITS
@@ -97,16 +97,16 @@ def test_windows_of_cpu_and_reference_are_the_same(seed):
     disparity = rng.integers(0, 65535 if seed % 2 else 3000, (h, w)).astype(np.uint16)
     where = rng.random((h, w)) < 0.7
     arguments = disparity, where, ratio, grid, int(rng.integers(1, 300)), int(rng.integers(0, 6)), shape
-    active = cpu.windows(*arguments)
-    assert np.array_equal(active, reference.windows(*arguments))
-    assert np.array_equal(active > 0, enlarged(where[None], ratio, shape)[0])
+    found, expected = cpu.windows(*arguments), reference.windows(*arguments)
+    assert np.array_equal(found.active, expected.active) and np.array_equal(found.start, expected.start)
+    assert np.array_equal(found.active > 0, enlarged(where[None], ratio, shape)[0])
 
 
 def test_windows_hold_what_the_coarser_level_found():
     grid = DisparityGrid(0, 4, 20 * CHUNK)
     disparity = np.full((8, 8), 12 * UNITS, np.uint16)
     disparity[:, 5:] = 60 * UNITS
-    active = Candidates.of(grid, cpu.windows(disparity, disparity > 0, 2, grid, 4 * UNITS, 1, (16, 16)))
+    active = cpu.windows(disparity, disparity > 0, 2, grid, 4 * UNITS, 1, (16, 16))
     values = [grid.values[pixel] for pixel in active.mask[3]]
     assert all(v.min() <= 20 and v.max() >= 28 for v in values[:10]), "24 px and 4 px either way"
     assert all(v.max() < 100 for v in values[:8]) and all(v.max() >= 124 for v in values[8:]), "one coarse pixel across"

@@ -97,7 +97,7 @@ def test_a_run_on_a_bag_is_the_run_on_its_images_in_folders(tmp_path: Path) -> N
     assert main(["run", str(folder), "--out", str(tmp_path / "a"), *arguments]) == 0
     assert main(["run", str(bag), "--out", str(tmp_path / "b"), "--masks", "topics:/{}/mask", *arguments]) == 0
     files = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.p??"))
-    assert len(files) == 2 * (4 + 3)
+    assert len(files) == 2 * (5 + 3)
     for file in files:
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 

@@ -321,7 +321,7 @@ def test_a_run_writes_what_frame_by_frame_is_written(tmp_path: Path) -> None:
     with FolderWriter(tmp_path / "plain", describe_run(dataset, settings), names, rotation=rotation) as writer:
         for frame in dataset:
             writer.write(frame.stamp, run(frame.images, frame.masks), 1.0)
-    assert files(tmp_path / "out") == files(tmp_path / "plain") and len(files(tmp_path / "out")) == 4 * 7 + 1
+    assert files(tmp_path / "out") == files(tmp_path / "plain") and len(files(tmp_path / "out")) == 4 * 8 + 1
 
 
 def test_a_run_reconstructs_while_it_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import _core
 from .errors import OptionsError
 from .options import PriorOptions, RangeOptions
 
@@ -57,8 +56,9 @@ class Candidates:
 
     @staticmethod
     def of(grid: DisparityGrid, active: np.ndarray) -> Candidates:
-        start = np.empty(active.size + 1, np.int32)
-        _core.chunk_starts(active, start)
+        bits = np.unpackbits(np.ascontiguousarray(active).reshape(-1, 1).view(np.uint8), axis=-1)
+        start = np.zeros(active.size + 1, np.int32)
+        np.cumsum(bits.sum(-1, dtype=np.int32), out=start[1:])
         return Candidates(grid, active, start)
 
     @staticmethod

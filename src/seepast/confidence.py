@@ -112,19 +112,37 @@ _FLATNESS = (7 - np.digitize(np.arange(256), STEPS, right=True)).astype(np.uint8
 VIEWS = Calibration(
     support=(
         (
-            (-0.93, -0.51, -0.31, -0.01),
-            (-0.49, -0.07, 0.13, 0.43),
-            (1.10, 1.52, 1.72, 2.02),
-            (1.58, 1.99, 2.19, 2.50),
+            (-0.88, -0.32, -0.30, 0.08),
+            (-0.61, -0.06, -0.03, 0.34),
+            (1.17, 1.72, 1.75, 2.12),
+            (1.73, 2.29, 2.32, 2.69),
         ),
         (
-            (-0.96, -0.96, -0.96, -0.96),
-            (0.21, 0.21, 0.21, 0.21),
-            (0.39, 0.39, 0.39, 0.39),
-            (0.93, 0.93, 0.93, 0.93),
+            (-0.80, -0.80, -0.80, -0.80),
+            (-0.12, -0.12, -0.12, -0.12),
+            (0.46, 0.46, 0.46, 0.46),
+            (1.62, 1.62, 1.62, 1.62),
         ),
     ),
-    flat=(0.0, 0.85, 0.99, 1.20, 1.68, 2.11, 2.64, 3.04),
+    flat=(0.0, 0.67, 0.67, 0.80, 1.39, 1.85, 2.46, 2.98),
+)
+# of views that are coarse but for what is hidden (multiview.fine_views off)
+COARSE_VIEWS = Calibration(
+    support=(
+        (
+            (-1.16, -0.78, -0.22, 0.11),
+            (-0.45, -0.07, 0.49, 0.82),
+            (0.80, 1.18, 1.74, 2.07),
+            (1.43, 1.81, 2.37, 2.69),
+        ),
+        (
+            (-0.57, -0.01, 0.21, 0.80),
+            (0.08, 0.64, 0.86, 1.44),
+            (0.75, 1.31, 1.53, 2.11),
+            (1.58, 2.14, 2.37, 2.95),
+        ),
+    ),
+    flat=(0.0, 1.03, 1.48, 1.96, 2.79, 3.40, 3.47, 3.47),
 )
 PAPER = Calibration(
     support=(
@@ -137,4 +155,6 @@ PAPER = Calibration(
 
 def calibration(options: Options) -> Calibration:
     """That of the method which the options ask for."""
-    return VIEWS if options.multiview.enabled else PAPER
+    if not options.multiview.enabled:
+        return PAPER
+    return VIEWS if options.multiview.fine_views else COARSE_VIEWS

@@ -25,8 +25,6 @@ from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
 from .surfaces import static_span, surfaces
 
-AROUND = 16  # px around what is asked for that is matched too
-
 if TYPE_CHECKING:
     from .pipeline import Clock
 
@@ -74,7 +72,7 @@ def see_past(
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
         evidence = confidence.of_views(d, found.disparity, static, shown, geometry, backend)
-        sure = confidence.probability(evidence, confidence.VIEWS)
+        sure = confidence.probability(evidence, confidence.calibration(options))
     disparity = d.astype(np.float32) / np.float32(UNITS)
     if dynamic_only:  # the rest keeps its own ray, and no disparity
         shown = np.where(keep, np.uint16(1 << r), shown)
@@ -118,7 +116,7 @@ def at_level(
     colour, static, views = level.colour, level.static, level.views
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
-        hides = None if before is None else around_people(before)
+        hides = None if before is None else around_people(before, o.around)
         area = asked_for(hides, level, o, dynamic_only)
         candidates = [around(before, area, k, level, grid, o, backend) for k in range(K)]
         found = np.zeros(static.shape, np.uint16) if before is None else before.at(level)
@@ -190,12 +188,13 @@ def wanted_view(
     return d
 
 
-def around_people(found: Views) -> np.ndarray:
-    """Where what people hide from the wanted view lies in every view, and around: bool [K, h, w]."""
+def around_people(found: Views, reach: int) -> np.ndarray:
+    """Where what people hide from the wanted view lies in every view, and `reach` px (of full size) around:
+    bool [K, h, w]."""
     level = found.level
     r = level.geometry.reference
     d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
-    return beside(landings(~level.static[r], d, level.geometry), -(-AROUND // level.scale))
+    return beside(landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
 
 
 def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
@@ -230,7 +229,7 @@ def around(
     if before is None or area is None:
         return Candidates.all(grid, shape)
     ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
-    return Candidates.of(grid, backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape))
+    return backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape)
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
@@ -274,8 +273,8 @@ def picture(
 ) -> np.ndarray:
     """Colours: of the rays that show the surface, else of any static ray, else continued from around.
 
-    `shown`, `passing` uint16 [H, W] from `labels`; keep bool [H, W]: own pixels of the reference. The 3x3 median
-    is for seams only, where disparity or coverage change; elsewhere it would blur.
+    `shown`, `passing` uint16 [H, W] from `labels`; keep bool [H, W]: own pixels of the reference. No median: it
+    mends the picture of wrong disparities, and blurs that of right ones.
     """
     rays = np.where(shown, shown, passing)
     background = backend.blend(
@@ -291,11 +290,6 @@ def picture(
     seen = ((rays > 0) | keep).astype(np.uint8)
     if not seen.all():
         background = backend.fill_unseen(background, seen, d.astype(np.float32) / np.float32(UNITS))
-    if options.refocus.median:
-        square = np.ones((3, 3), np.uint8)
-        seams = cv2.morphologyEx(d, cv2.MORPH_GRADIENT, square) > UNITS
-        seams |= cv2.morphologyEx(ray_count(shown), cv2.MORPH_GRADIENT, square) > 0
-        cv2.copyTo(cv2.medianBlur(background, 3), (seams & ~keep).view(np.uint8), background)
     return background
 
 

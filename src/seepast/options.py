@@ -129,7 +129,7 @@ class RefocusOptions(StageOptions):
     """The picture (stage "refocus")."""
 
     keep_reference: bool = option(True, "", None, None, "static reference pixels keep their own colour")
-    median: bool = option(True, "", None, None, "3x3 median over what was synthesised")
+    median: bool = option(True, "", None, None, "preset paper: 3x3 median over what was synthesised")
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,8 @@ class MultiviewOptions(StageOptions):
         None,
         "on finer levels the other views are matched everywhere; else only around what people hide",
     )
-    paths: int = option(8, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
+    around: int = option(16, "px", 0, 256, "and that far beside it; so it is where other views are heard a second time")
+    paths: int = option(4, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
     colour_cap: int = option(33, "", 0, 100, "a pair's mean colour step costs no more; the census is 96 at most")
     few_cost: int = option(40, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
     lone_cost: int = option(25, "", 0, 250, "cost where only one static ray exists")
@@ -261,7 +262,7 @@ PRESETS: dict[str, Options] = {
     "fast": Options(
         rectify=RectifyOptions(interpolation="linear"),
         multiview=MultiviewOptions(
-            enabled=True, coarsest=4, rounds=1, spread=2, fine_views=False, paths=4, planes=False
+            enabled=True, coarsest=4, rounds=1, spread=2, fine_views=False, around=8, planes=False
         ),
         people=PeopleOptions(surface_width=250),
     ),

@@ -46,10 +46,11 @@ def windows(
     reach: int,
     spread: int,
     shape: tuple[int, ...],
-) -> np.ndarray:
-    active = np.empty(shape, np.uint64)
+) -> Candidates:
+    active, start = np.empty(shape, np.uint64), np.empty(shape[0] * shape[1] + 1, np.int32)
     _core.windows(disparity, _bytes(where), ratio, _grid(grid), reach, spread, active)
-    return active
+    _core.chunk_starts(active, start)
+    return Candidates(grid, active, start)
 
 
 def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, costs: PairCosts) -> np.ndarray:

@@ -111,9 +111,9 @@ def windows(
     reach: int,
     spread: int,
     shape: tuple[int, ...],
-) -> np.ndarray:
-    """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity: uint64 [H, W], as
-    Candidates.active; none where `where` does not hold.
+) -> Candidates:
+    """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity, none where `where` does
+    not hold.
 
     disparity uint16, where bool [h, w] of views that are `ratio` times smaller than shape = (H, W); disparity in
     32nds of their pixels. A pixel takes the chunks of all coarse pixels within `spread` of its own: what is thin may
@@ -128,7 +128,7 @@ def windows(
     padded, side = np.pad(bits, spread), range(2 * spread + 1)
     bits = np.where(where, np.bitwise_or.reduce([padded[i : i + h, j : j + w] for i in side for j in side]), 0)
     y, x = ((np.arange(n) // ratio).clip(0, limit - 1) for n, limit in zip(shape, (h, w), strict=True))
-    return bits[y[:, None], x]
+    return Candidates.of(grid, bits[y[:, None], x])
 
 
 # ------------------------------------------------------------------------------------------------- volume
