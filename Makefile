@@ -54,7 +54,7 @@ lint: $(VENV)/.dev-installed
 	$(VENV)/bin/ruff check src tests benchmarks docs/*.py
 	$(VENV)/bin/ruff format --check src tests benchmarks docs/*.py
 	$(VENV)/bin/mypy src/seepast
-	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h
+	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h tests/cpp/*.cpp tests/cpp/*/*.h
 
 $(PY):
 	@test -n "$(PYTHON)" || { echo "make: no Python >= 3.10 found; install one, or say make PYTHON=/path/to/python3"; exit 1; }

@@ -74,7 +74,7 @@ struct Row {
   uint16_t* out;  // nullptr: store the sums
 };
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#if defined(SEEPAST_V4)
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // in GCC's own headers
 #pragma GCC push_options
@@ -86,10 +86,14 @@ namespace v4 {
 }  // namespace v4
 #pragma GCC pop_options
 #pragma GCC diagnostic pop
+#undef SEEPAST_AVX512
+#undef SEEPAST_AVX2
+#endif
+#if defined(SEEPAST_V3)
 #pragma GCC push_options
 #pragma GCC target("arch=x86-64-v3")
 namespace v3 {
-#undef SEEPAST_AVX512
+#define SEEPAST_AVX2
 #include "aggregate_rows.h"
 }  // namespace v3
 #undef SEEPAST_AVX2
@@ -101,9 +105,11 @@ namespace baseline {
 
 using Run = void (*)(const Row&, bool);
 Run runner() {
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-  if (__builtin_cpu_supports("x86-64-v4")) return v4::run;
-  if (__builtin_cpu_supports("x86-64-v3")) return v3::run;
+#if defined(SEEPAST_V4)
+  if (simd() >= Simd::avx512) return v4::run;
+#endif
+#if defined(SEEPAST_V3)
+  if (simd() == Simd::avx2) return v3::run;
 #endif
   return baseline::run;
 }

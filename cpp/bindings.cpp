@@ -43,6 +43,7 @@ NB_MODULE(_core, m) {
   nb::class_<SupportParams>(m, "SupportParams").def(nb::init<int, int, int, float, float>());
   const auto free_lock = nb::call_guard<nb::gil_scoped_release>();
 
+  m.def("simd", [] { return simd_name(); });
   m.def("set_threads", [](int threads) {
 #ifdef _OPENMP
     omp_set_num_threads(threads > 0 ? threads : omp_get_num_procs());

@@ -5,13 +5,7 @@
 #include <cstdint>
 
 #include "pixel.h"
-
-// The hot row loops are compiled for several instruction sets and chosen when the library is loaded.
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-#define SEEPAST_CLONES __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define SEEPAST_CLONES
-#endif
+#include "simd.h"
 
 namespace seepast {
 

@@ -501,20 +501,11 @@ __attribute__((flatten)) void match_row_anywhere(RowMatcher<Bits>& matcher, int 
   matcher.match_row(y, out);
 }
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
-// Machines that count the bits of 64 bytes at once, and permute them (target_clones cannot name what they
-// are).
-#define SEEPAST_COUNTING
+#if defined(SEEPAST_V4_BYTES)
+// Simd::avx512_bytes, which target_clones cannot name.
 __attribute__((flatten, target("arch=x86-64-v4,avx512bitalg,avx512vbmi"))) void match_row_counting(
     RowMatcher<CountBits>& matcher, int y, uint8_t* out) {
   matcher.match_row(y, out);
-}
-
-bool counting_machine() {
-  __builtin_cpu_init();
-  return __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("avx512vbmi") &&
-         __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
-         __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512cd");
 }
 #endif
 
@@ -581,8 +572,8 @@ void volume(const Array& array, const FeatureRows& features, int view, const Gri
     };
     match_rows(matcher, array.height, match_row, out);
   };
-#if defined(SEEPAST_COUNTING)
-  if (counting_machine()) return match(CountBits(), match_row_counting);
+#if defined(SEEPAST_V4_BYTES)
+  if (simd() == Simd::avx512_bytes) return match(CountBits(), match_row_counting);
 #endif
   match(Bits(), match_row_anywhere);
 }

@@ -6,7 +6,6 @@ import os
 import platform
 import re
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,11 +15,6 @@ from . import __version__, backends
 from .errors import BackendError
 
 FOR_DEVELOPERS = {"test", "dev", "docs"}
-# The levels of x86-64 that the hot loops are compiled for, with the flags by which Linux tells that they are there.
-_LEVELS = {
-    "x86-64-v4 (AVX-512)": {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"},
-    "x86-64-v3 (AVX2)": {"avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"},
-}
 
 
 def about() -> dict[str, Any]:
@@ -28,7 +22,8 @@ def about() -> dict[str, Any]:
 
     seepast, python, numpy, opencv  versions
     machine, cores                  the processor's architecture; cores that this process may use
-    simd                            what loops are chosen for this processor where the compiler was gcc; None: not known
+    simd                            "AVX-512", "AVX2", "NEON" or "baseline": the loops that the cpu backend chose for
+                                    this processor; None where it cannot be loaded
     backends                        name -> None where it works, else why it does not
     extras                          name -> {package: version, None where it is missing}
     """
@@ -58,17 +53,13 @@ def about_text(facts: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def simd(flags: set[str] | None = None) -> str | None:
-    """The best of the instruction sets that loops are compiled for and the processor has; None: not known.
-
-    flags  of the processor as Linux names them; None = those of this one
-    """
-    if platform.machine() in ("aarch64", "arm64"):
-        return "NEON"
-    flags = _processor_flags() if flags is None else flags
-    if not flags or platform.machine() not in ("x86_64", "AMD64"):
+def simd() -> str | None:
+    """The instruction set whose loops the cpu backend runs here; None where it cannot be loaded."""
+    try:
+        from . import _core
+    except ImportError:
         return None
-    return next((level for level, needs in _LEVELS.items() if needs <= flags), "x86-64 (SSE2)")
+    return str(_core.simd())
 
 
 def extras(names: list[str] | None = None, requirements: list[str] | None = None) -> dict[str, dict[str, str | None]]:
@@ -104,12 +95,3 @@ def _why_not(backend: str) -> str | None:
     except BackendError as error:
         return str(error)
     return None
-
-
-def _processor_flags() -> set[str]:
-    try:
-        text = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return set()
-    line = re.search(r"^flags\s*:(.*)$", text, re.MULTILINE)
-    return set(line[1].split()) if line else set()
