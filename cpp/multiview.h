@@ -134,9 +134,6 @@ void for_each_run(int from, int to, Offset offset_at, Use use) {
   }
 }
 
-// Transposes bytes: out[x * out_stride + i] = rows[i * row_stride + x], x < width, i < count.
-void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out, size_t out_stride);
-
 // Sixteen bytes, and the 16 x 16 transpose of them.
 typedef uint8_t Sixteen __attribute__((vector_size(16)));
 inline Sixteen low_halves(Sixteen a, Sixteen b) {  // a0 b0 a1 b1 ..

@@ -519,36 +519,7 @@ void match_rows(Matcher matcher_of, int height, MatchRow match_row, uint8_t* out
   }
 }
 
-// The 8 x 8 bytes in `rows`, one row per word, transposed in place (Hacker's Delight, section 7-3).
-inline __attribute__((always_inline)) void transpose_8x8(uint64_t* rows) {
-  const auto exchange = [](uint64_t& a, uint64_t& b, int shift, uint64_t mask) {
-    const uint64_t t = ((a >> shift) ^ b) & mask;
-    b ^= t;
-    a ^= t << shift;
-  };
-  for (int i = 0; i < 4; ++i) exchange(rows[i], rows[i + 4], 32, 0x00000000ffffffffull);
-  for (int i : {0, 1, 4, 5}) exchange(rows[i], rows[i + 2], 16, 0x0000ffff0000ffffull);
-  for (int i : {0, 2, 4, 6}) exchange(rows[i], rows[i + 1], 8, 0x00ff00ff00ff00ffull);
-}
-
 }  // namespace
-
-SEEPAST_CLONES
-void transpose(const uint8_t* rows, size_t row_stride, int count, int width, uint8_t* out,
-               size_t out_stride) {
-  for (int i = 0; i < count; i += 8)
-    for (int x = 0; x < width; x += 8) {
-      if (i + 8 > count || x + 8 > width) {
-        for (int a = x; a < std::min(width, x + 8); ++a)
-          for (int b = i; b < std::min(count, i + 8); ++b) out[a * out_stride + b] = rows[b * row_stride + a];
-        continue;
-      }
-      uint64_t word[8];
-      for (int b = 0; b < 8; ++b) std::memcpy(word + b, rows + (i + b) * row_stride + x, 8);
-      transpose_8x8(word);
-      for (int a = 0; a < 8; ++a) std::memcpy(out + (x + a) * out_stride + i, word + a, 8);
-    }
-}
 
 SEEPAST_CLONES
 void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start) {
