@@ -22,17 +22,9 @@ HERE = Path(__file__).parent
 KERNELS = Path(seepast.gpu.__file__).parent / "kernels"
 HEADERS = (KERNELS, HERE.parents[1] / "cpp", HERE)
 KERNEL = re.compile(r'extern\s+"C"\s+__global__\s+void\s+(?:__launch_bounds__\s*\([^)]*\)\s*)?(\w+)\s*\(')
-COMPILE = "g++ -std=c++17 -O2 -g1 -fPIC -shared -ffp-contract=off -fno-strict-aliasing -fno-ipa-reference -w".split()  # noqa: SIM905
-    "g++",
-    "-std=c++17",
-    "-O2",
-    "-g1",
-    "-fPIC",
-    "-shared",
-    "-ffp-contract=off",
-    "-fno-strict-aliasing",
-    "-fno-ipa-reference",
-    "-w",
+COMPILE = [
+    *("g++", "-std=c++17", "-O2", "-g1", "-fPIC", "-shared", "-w"),
+    *("-ffp-contract=off", "-fno-strict-aliasing", "-fno-ipa-reference"),
 ]
 
 
