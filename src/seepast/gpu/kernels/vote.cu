@@ -1,0 +1,157 @@
+// Votes of the other cameras on the candidates of views: reference_multiview.votes.
+//
+// A block takes 32 neighbouring pixels of a row, chunk by chunk from the nearest on over the chunks that any
+// of them has. A warp takes one candidate of a chunk at a time: its lanes look at neighbouring pixels of
+// every camera, with the same shift, computed once per block. The chunk's energies go through shared memory,
+// so that rows of the volume are read and written whole.
+#include "landing.h"
+
+using namespace seepast;
+
+namespace {
+
+constexpr int kChunk = 16;       // candidates of one row of a volume
+constexpr int kFullVote = 1280;  // many.py FULL_VOTE
+constexpr int kPixels = 32, kThreads = 256, kWarps = kThreads / kPixels, kEach = kChunk / kWarps;
+constexpr int kPitch = kChunk / 4 + 1;  // words per pixel of the energies: an odd number, for the banks
+static_assert(kThreads == kChunk * kMaxCameras, "one thread aims at one candidate with one camera");
+
+// How all pixels of a row look at a candidate with one camera: where, and what disparity agrees with it
+// there.
+struct alignas(16) Aim {
+  float zoom, parallax, side;
+  int expected;
+};
+
+struct Shared {
+  Aim aims[kChunk][kMaxCameras];
+  int lines[kChunk][kMaxCameras];       // of the camera's images, -1: nowhere
+  int16_t margins[2][kChunk][kPixels];  // max(0, s - v) of this chunk and the one before
+  uint32_t energies[kPixels * kPitch];  // bytes
+  int rows[kPixels];                    // of the volume, -1: none
+};
+
+__device__ uint64_t any_of(uint64_t bits) {
+  for (int step = 16; step > 0; step /= 2) bits |= __shfl_xor_sync(0xffffffffu, bits, step);
+  return bits;
+}
+
+// Support and violation by one camera's disparity and confidence.
+__device__ void add_vote(int e, int c, int& support, int& violation) {
+  support += c * max(0, kUnits - abs(e));
+  violation += c * min(2 * kUnits, max(0, -e - kUnits));
+}
+
+}  // namespace
+
+// What there is of every view, as the addresses of arrays.
+struct View {
+  const uint8_t *costs, *is_static;  // [n, kChunk], [H, W]
+  const uint64_t* active;            // [H, W]
+  const int32_t* start;              // [H W + 1]
+  uint8_t* out;  // [n, kChunk], may be `costs`; only rows that there are votes on are written
+};
+
+// blockIdx.z: the view, of V. offsets [V, K, 5], centers [V, 2]; addresses uint64 [V, 5], see View;
+// disparities uint16, confidence uint8 [K, H, W]; skips int32 [V]: the camera without a vote, or -1.
+extern "C" __global__ void __launch_bounds__(kThreads)
+    votes(const float* __restrict__ offsets, const float* __restrict__ centers,
+          const uint64_t* __restrict__ addresses, const int32_t* __restrict__ skips,
+          const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ confidence, int cameras,
+          int height, int width, int first, int step, int base, int gain, int hide, int volume, int visible) {
+  __shared__ Shared shared;
+  const int t = threadIdx.x, lane = t % kPixels, warp = t / kPixels;
+  const int x = blockIdx.x * kPixels + lane, y = blockIdx.y, view = blockIdx.z;
+  const bool inside = x < width;
+  const View of = reinterpret_cast<const View*>(addresses)[view];
+  const int at = y * width + (inside ? x : 0);
+  const bool own = inside && of.is_static[at];
+  const uint64_t mine = inside && (visible || !own) ? of.active[at] : 0;
+  uint64_t wanted = any_of(mine);
+  const bool blind = __any_sync(0xffffffffu, inside && !own);
+  const int weight = own ? 0 : hide, lag = (2 * 8 + step - 1) / step, skip = skips[view];
+  const float from_center = static_cast<float>(x) - centers[2 * view], cy = centers[2 * view + 1];
+  int older = 0;  // the largest margin of the chunks before the one before
+  int now = 0;
+
+  for (int before = -1; wanted; now ^= 1) {  // the same in all threads of a block
+    const int chunk = 63 - __clzll(static_cast<long long>(wanted));
+    wanted ^= uint64_t{1} << chunk;
+    if (t % kMaxCameras < cameras) {
+      const int i = t / kMaxCameras, k = t % kMaxCameras;
+      const float d =
+          (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(chunk * kChunk + i)) /
+          8.0f;
+      const RayShift shift = shift_of(offsets + kOffsets * (cameras * view + k), d);
+      const int row = y + whole_offset(ray_dy(shift, y, cy));
+      shared.aims[i][k] = {shift.zoom, shift.x, shift.view_x,
+                           floor_int(d * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f)};
+      shared.lines[i][k] = k != skip && within(row, height) ? (k * height + row) * width : -1;
+    }
+    __syncthreads();
+
+    const bool has = mine >> chunk & 1;
+    if (warp == 0)
+      shared.rows[lane] = has ? of.start[at] + __popcll(mine & ((uint64_t{1} << chunk) - 1)) : -1;
+    int support[kEach] = {}, violation[kEach] = {};
+#pragma unroll 2
+    for (int k = 0; k < cameras; ++k)
+#pragma unroll
+      for (int n = 0; n < kEach; ++n) {
+        const int i = warp + n * kWarps, line = shared.lines[i][k];
+        if (line < 0) continue;  // of all lanes
+        const Aim aim = shared.aims[i][k];
+        const int column = x + whole_offset(from_center * aim.zoom - aim.parallax + aim.side);
+        if (!has || !within(column, width)) continue;
+        add_vote(disparities[line + column] - aim.expected, confidence[line + column], support[n],
+                 violation[n]);
+      }
+
+    int nearest[kEach] = {};  // margins of candidates that hide this one
+    if (blind) {
+#pragma unroll
+      for (int n = 0; n < kEach; ++n)
+        shared.margins[now][warp + n * kWarps][lane] =
+            static_cast<int16_t>(has ? max(0, 2 * support[n] - violation[n]) : 0);
+      __syncthreads();
+      int last = 0;
+      if (before >= 0)
+        for (int j = 0; j < kChunk; ++j) last = max(last, static_cast<int>(shared.margins[now ^ 1][j][lane]));
+#pragma unroll
+      for (int n = 0; n < kEach; ++n) {
+        const int from = warp + n * kWarps + lag;
+        nearest[n] = before == chunk + 1 ? older : max(older, last);
+        for (int j = from; j < kChunk; ++j)
+          nearest[n] = max(nearest[n], static_cast<int>(shared.margins[now][j][lane]));
+        if (before == chunk + 1)
+          for (int j = max(0, from - kChunk); j < kChunk; ++j)
+            nearest[n] = max(nearest[n], static_cast<int>(shared.margins[now ^ 1][j][lane]));
+      }
+      older = max(older, last);
+    }
+    before = chunk;
+
+#pragma unroll
+    for (int n = 0; n < kEach; ++n) {
+      const int s = min(2 * support[n], 2 * kFullVote), v = min(violation[n], 2 * kFullVote);
+      const int energy = base + gain * (v - s) + weight * min(nearest[n], kFullVote);
+      reinterpret_cast<uint8_t*>(shared.energies)[4 * kPitch * lane + warp + n * kWarps] =
+          static_cast<uint8_t>(min(255, (max(0, energy) + 64) >> 7));
+    }
+    __syncthreads();
+
+    const int pixel = t / 4, row = t < 4 * kPixels ? shared.rows[pixel] : -1;
+    if (row >= 0) {
+      const uint32_t energies = shared.energies[kPitch * pixel + t % 4];
+      const size_t word = 4 * static_cast<size_t>(row) + t % 4;
+      const uint32_t cost = reinterpret_cast<const uint32_t*>(of.costs)[word];
+      uint32_t sums = 0;
+#pragma unroll
+      for (int shift = 0; shift < 32; shift += 8) {
+        const int part = (static_cast<int>(cost >> shift & 255) * volume + 64) >> 7;
+        sums |= static_cast<uint32_t>(min(255, static_cast<int>(energies >> shift & 255) + part)) << shift;
+      }
+      reinterpret_cast<uint32_t*>(of.out)[word] = sums;
+    }
+  }
+}

@@ -1,0 +1,105 @@
+// What the views say about each other's disparities: reference_multiview.witnesses, labels, confidence_of.
+//
+// One thread per pixel, blockIdx.z is the view. offsets [V, K, 5], centers [V, 2]: the array as seen from V
+// cameras. d uint16 [V, H, W]; disparities uint16, is_static uint8 [K, H, W] of all cameras.
+#include "landing.h"
+
+using namespace seepast;
+
+namespace {
+
+constexpr int kAcross = 32, kDown = 8;
+
+struct Said {
+  int agree, farther;
+};
+
+// What all cameras but `skip` say about the disparity of pixel (x, y) of a view.
+__device__ Said ask(const float* __restrict__ offsets, float cx, float cy, int x, int y, int units,
+                    const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
+                    int cameras, int height, int width, int skip, int tolerance) {
+  Said said{0, 0};
+#pragma unroll 4
+  for (int k = 0; k < cameras; ++k) {
+    const Landing to = land(offsets + kOffsets * k, cx, cy, x, y, units);
+    const bool there = k != skip && within(to.column, width) && within(to.row, height);
+    const int at = there ? (k * height + to.row) * width + to.column : 0;
+    const bool open = there && is_static[at];
+    const int e = disparities[at] - to.expected;
+    said.agree += open && abs(e) <= tolerance;
+    said.farther |= open && e < -tolerance;
+  }
+  return said;
+}
+
+}  // namespace
+
+// skips int32 [V]: the camera that is not asked, or -1. agree, farther uint8 [V, H, W].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    witnesses(const float* __restrict__ offsets, const float* __restrict__ centers,
+              const uint16_t* __restrict__ d, const uint16_t* __restrict__ disparities,
+              const uint8_t* __restrict__ is_static, const int32_t* __restrict__ skips, int cameras,
+              int height, int width, int tolerance, uint8_t* __restrict__ agree,
+              uint8_t* __restrict__ farther) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height) return;
+  const int at = (view * height + y) * width + x;
+  const Said said = ask(offsets + kOffsets * cameras * view, centers[2 * view], centers[2 * view + 1], x, y,
+                        d[at], disparities, is_static, cameras, height, width, skips[view], tolerance);
+  agree[at] = static_cast<uint8_t>(said.agree);
+  farther[at] = static_cast<uint8_t>(said.farther);
+}
+
+// witnesses of every view by the others, graded: view v is camera v. confidence, trusted, wanted uint8 [K, H,
+// W]: confidence_of, and what `planes` fits and completes.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    confirm(const float* __restrict__ offsets, const float* __restrict__ centers,
+            const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static, int cameras,
+            int height, int width, int tolerance, int confident, int lone, int doubtful,
+            uint8_t* __restrict__ confidence, uint8_t* __restrict__ trusted, uint8_t* __restrict__ wanted) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height) return;
+  const int at = (view * height + y) * width + x;
+  const Said said = ask(offsets + kOffsets * cameras * view, centers[2 * view], centers[2 * view + 1], x, y,
+                        disparities[at], disparities, is_static, cameras, height, width, view, tolerance);
+  const bool own = is_static[at], sure = said.agree > 0;
+  const int grade = sure ? confident : (said.farther ? doubtful : lone);
+  confidence[at] = static_cast<uint8_t>(own ? grade : 0);
+  trusted[at] = sure && own;
+  wanted[at] = !sure;
+}
+
+// agree, farther, is_static uint8 [count].
+extern "C" __global__ void __launch_bounds__(256)
+    confidence_of(const uint8_t* __restrict__ agree, const uint8_t* __restrict__ farther,
+                  const uint8_t* __restrict__ is_static, int count, int confident, int lone, int doubtful,
+                  uint8_t* __restrict__ out) {
+  const int i = blockIdx.x * 256 + threadIdx.x;
+  if (i >= count) return;
+  const int grade = agree[i] ? confident : (farther[i] ? doubtful : lone);
+  out[i] = static_cast<uint8_t>(is_static[i] ? grade : 0);
+}
+
+// Of one view: offsets [K, 5]; d, shown, passing uint16 [H, W].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    labels(const float* __restrict__ offsets, float cx, float cy, const uint16_t* __restrict__ d,
+           const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static, int reference,
+           int cameras, int height, int width, int tolerance, uint16_t* __restrict__ shown,
+           uint16_t* __restrict__ passing) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
+  if (x >= width || y >= height) return;
+  const int pixel = y * width + x, units = d[pixel];
+  uint32_t show = 0, pass = 0;
+#pragma unroll 4
+  for (int k = 0; k < cameras; ++k) {
+    const Landing to = land(offsets + kOffsets * k, cx, cy, x, y, units);
+    const bool there = within(to.column, width) && within(to.row, height);
+    const int at = there ? (k * height + to.row) * width + to.column : 0;
+    const bool open = there && is_static[at];
+    const bool same = k == reference || abs(disparities[at] - to.expected) <= tolerance;
+    pass |= static_cast<uint32_t>(open) << k;
+    show |= static_cast<uint32_t>(open && same) << k;
+  }
+  shown[pixel] = static_cast<uint16_t>(show);
+  passing[pixel] = static_cast<uint16_t>(pass);
+}

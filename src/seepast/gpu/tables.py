@@ -1,0 +1,51 @@
+"""Small tables that kernels read, kept on the device by their contents: the next frame finds them there."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from ..geometry import ArrayGeometry
+from . import device
+
+KEPT = 256  # tables; each is a few hundred bytes
+
+_tables: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_one = Lock()
+
+
+def constant(values: np.ndarray) -> Any:
+    """The device's array with the contents of a NumPy array; nobody may write to it."""
+    here = device.current()
+    key = here, values.dtype.str, values.shape, values.tobytes()
+    with _one:
+        if key not in _tables:
+            _tables[key] = here.upload(np.ascontiguousarray(values))
+        _tables.move_to_end(key)
+        while len(_tables) > KEPT:
+            _tables.popitem(last=False)
+        return _tables[key]
+
+
+def address(array: Any) -> int:
+    """Where a device's array begins."""
+    return int(array.ctypes.data if isinstance(array, np.ndarray) else array.data.ptr)
+
+
+def addresses(arrays: Sequence[Sequence[Any]]) -> Any:
+    """uint64 [rows, columns] on the device: where the arrays begin, for kernels that work on many views at once.
+
+    Memory that is freed and taken again has the same addresses from frame to frame, so this too is mostly there. The
+    arrays must be C-contiguous and outlive the launch (on one stream they do: memory is reused behind it).
+    """
+    return constant(np.array([[address(array) for array in row] for row in arrays], np.uint64))
+
+
+def views_table(views: Sequence[ArrayGeometry]) -> tuple[Any, Any]:
+    """The array as seen from each of V cameras: offsets float32 [V, K, 5] and centers float32 [V, 2] on the device."""
+    offsets = np.stack([view.offsets for view in views])
+    return constant(offsets), constant(np.array([view.center for view in views], np.float32))
