@@ -1,0 +1,347 @@
+// Stage "aggregate" of the many-view method, for all views at once: semi-global matching along 4 or 8 paths
+// (Hirschmueller 2008), the winners, and their 5x5 median.
+//
+// A warp walks along one line of one path, a lane for each candidate of two chunks. What a path adds to the
+// costs is never more than P2, so it is stored in a byte where that fits; no path waits for another, and the
+// sum is taken where the winner is.
+#include "device.h"
+#include "matching.h"
+
+using namespace seepast;
+
+constexpr unsigned kAll = 0xffffffffu;
+constexpr int kLines = 4;        // warps of a block of paths
+constexpr int kBeyond = 0x3fff;  // cost of a candidate that a pixel is not matched at: more than any path's
+
+// One view: device addresses, as the host tables them.
+struct View {
+  const uint64_t* active;     // [H, W]
+  const int32_t* start;       // [H W + 1]
+  const uint8_t* costs;       // [chunks, 16]
+  const uint8_t* image;       // [H, W, 3]
+  const uint8_t* is_static;   // [H, W]
+  const uint16_t* otherwise;  // [H, W], or null
+  size_t first;               // row of the first chunk among those of all views
+};
+constexpr int kAddresses = 7;
+
+__device__ inline View view_at(const uint64_t* addresses, int n) {
+  const uint64_t* a = addresses + kAddresses * n;
+  return {reinterpret_cast<const uint64_t*>(a[0]),
+          reinterpret_cast<const int32_t*>(a[1]),
+          reinterpret_cast<const uint8_t*>(a[2]),
+          reinterpret_cast<const uint8_t*>(a[3]),
+          reinterpret_cast<const uint8_t*>(a[4]),
+          reinterpret_cast<const uint16_t*>(a[5]),
+          static_cast<size_t>(a[6])};
+}
+
+// A line of pixels along which a path goes. Diagonals that leave the image at a side go on at the other, as
+// new paths: so all of them are as long as the image is high.
+struct Line {
+  int x, y, dx, dy, height, width;
+
+  __device__ int steps() const { return dy ? height : width; }
+  __device__ int column(int t) const {
+    if (dy == 0) return dx > 0 ? t : width - 1 - t;
+    const int at = (x + t % width * dx) % width;
+    return at < 0 ? at + width : at;
+  }
+  __device__ int row(int t) const { return dy == 0 ? y : dy > 0 ? t : height - 1 - t; }
+  __device__ bool begins(int t) const {
+    return t == 0 || (dy != 0 && dx != 0 && column(t) == (dx > 0 ? 0 : width - 1));
+  }
+};
+
+// The paths in order: left to right, right to left, down, up, and the diagonals.
+__device__ inline Line line_of(int path, int number, int height, int width) {
+  const int dy = path < 2 ? 0 : path == 2 || path == 4 || path == 5 ? 1 : -1;
+  const int dx = path < 2 ? 1 - 2 * path : path < 4 ? 0 : path == 4 || path == 6 ? 1 : -1;
+  return {number, number, dx, dy, height, width};
+}
+
+// What a path needs to know of a pixel. Lanes look 32 pixels up at a time.
+struct Place {
+  uint64_t active;
+  int start;
+  int large;  // P2 from the pixel before; -1 where a path begins
+};
+
+__device__ inline int difference(const uint8_t* a, const uint8_t* b, int channel) {
+  const int d = static_cast<int>(a[channel]) - b[channel];
+  return d < 0 ? -d : d;
+}
+
+__device__ inline Place place_at(const View& v, const Line& line, int t, const uint16_t* __restrict__ large,
+                                 int dynamic) {
+  if (t >= line.steps()) return {0, 0, -1};
+  const int x = line.column(t), y = line.row(t), p = y * line.width + x;
+  Place found{v.active[p], v.start[p], -1};
+  if (line.begins(t)) return found;
+  const int q = p - line.dy * line.width - line.dx;
+  const uint8_t *a = v.image + 3 * p, *b = v.image + 3 * q;
+  const int step = difference(a, b, 0) + difference(a, b, 1) + difference(a, b, 2);
+  found.large = v.is_static[p] && v.is_static[q] ? large[step] : dynamic;
+  return found;
+}
+
+__device__ inline Place from_lane(const Place& mine, int lane) {
+  const uint64_t both = static_cast<uint64_t>(mine.start) << 32 | static_cast<uint32_t>(mine.large);
+  const uint64_t found = __shfl_sync(kAll, both, lane);
+  return {__shfl_sync(kAll, mine.active, lane), static_cast<int>(found >> 32), static_cast<int>(found)};
+}
+
+__device__ inline int lowest_of_warp(int value) {
+#if !defined(__CUDA_ARCH__) || __CUDA_ARCH__ >= 800
+  return static_cast<int>(__reduce_min_sync(kAll, static_cast<unsigned>(value)));
+#else
+  for (int step = 16; step > 0; step /= 2) value = min(value, __shfl_xor_sync(kAll, value, step));
+  return value;
+#endif
+}
+
+// Takes the two lowest chunks out of `rest`; the lane's, -1 if there is none.
+__device__ inline int next_chunk(uint64_t& rest, int lane) {
+  const int first = __ffsll(static_cast<long long>(rest)) - 1;
+  rest &= rest - 1;
+  const int second = __ffsll(static_cast<long long>(rest)) - 1;
+  rest &= rest - 1;
+  return lane < kChunk ? first : second;
+}
+
+// Bits 0..2: chunks c - 1, c, c + 1 were active.
+__device__ inline unsigned around(uint64_t active, int c) {
+  return static_cast<unsigned>(c > 0 ? active >> (c - 1) : active << 1) & 7;
+}
+
+// L(p, d) - C(p, d) = min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q), into `ways` [paths, rows,
+// 16].
+template <typename Way>
+__device__ inline void walk(const View& v, const Line& line, int small, const uint16_t* __restrict__ large,
+                            int dynamic, Way* __restrict__ ways, uint16_t* __restrict__ path_costs,
+                            int pitch) {
+  const int lane = threadIdx.x % 32, candidate = lane % kChunk, half = lane / kChunk, steps = line.steps();
+  const uint16_t* before = path_costs;  // of the pixel before; entry d + 1 is candidate d's
+  uint16_t* here = path_costs + pitch;
+  uint64_t active_before = 0;
+  int lowest = 0;
+  Place mine = place_at(v, line, lane, large, dynamic), later = place_at(v, line, 32 + lane, large, dynamic);
+  Place next = from_lane(mine, 0);
+  const auto first_cost = [&](const Place& p) -> int {
+    return half < __popcll(p.active) ? v.costs[kChunk * (static_cast<size_t>(p.start) + half) + candidate]
+                                     : 0;
+  };
+  int next_cost = first_cost(next);
+  for (int t = 0; t < steps; ++t) {
+    const Place p = next;
+    int cost = next_cost;
+    if (t % 32 == 31) mine = later, later = place_at(v, line, t + 33 + lane, large, dynamic);
+    next = from_lane(mine, (t + 1) % 32);
+    next_cost = first_cost(next);  // while this pixel is worked on
+
+    const bool begins = p.large < 0 || !active_before;
+    const int base = begins ? 0 : lowest, far = lowest + p.large;
+    int least = kBeyond;
+    size_t at = kChunk * (static_cast<size_t>(p.start) + half) + candidate;
+    for (uint64_t rest = p.active; rest;) {
+      const int chunk = next_chunk(rest, lane);
+      if (chunk >= 0) {
+        int way = 0;
+        const int entry = kChunk * chunk + candidate + 1;
+        if (!begins) {
+          const unsigned was = around(active_before, chunk);
+          const int same = was & 2 ? before[entry] : kBeyond;
+          const int left = was & (candidate > 0 ? 2 : 1) ? before[entry - 1] : kBeyond;
+          const int right = was & (candidate < kChunk - 1 ? 2 : 4) ? before[entry + 1] : kBeyond;
+          way = min(min(same, far), min(left, right) + small) - base;
+        }
+        ways[at] = static_cast<Way>(way);
+        here[entry] = static_cast<uint16_t>(way + cost);
+        least = min(least, way + cost);
+      }
+      at += 2 * kChunk;
+      if (rest) cost = half == 0 || rest & (rest - 1) ? v.costs[at] : 0;
+    }
+    lowest = lowest_of_warp(least);
+    active_before = p.active;
+    __syncwarp();
+    uint16_t* const swapped = here;
+    here = const_cast<uint16_t*>(before);
+    before = swapped;
+  }
+}
+
+template <typename Way>
+__device__ inline void paths_of(const uint64_t* addresses, int height, int width, int count, size_t rows,
+                                int small, const uint16_t* large, int dynamic, Way* ways,
+                                uint16_t* path_costs) {
+  const int number = blockIdx.x * kLines + threadIdx.x / 32, path = blockIdx.y;
+  if (number >= (path < 2 ? height : width)) return;
+  const int pitch = count + 2;
+  const View v = view_at(addresses, blockIdx.z);
+  walk(v, line_of(path, number, height, width), small, large, dynamic,
+       ways + kChunk * (path * rows + v.first), path_costs + threadIdx.x / 32 * 2 * pitch, pitch);
+}
+
+// addresses [n, 7]: View. rows of all views together; large uint16 [766]; ways [paths, rows, 16]. Blocks of
+// 128 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 2) uint16.
+extern "C" __global__ void __launch_bounds__(32 * kLines)
+    paths_in_bytes(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
+                   int small, const uint16_t* __restrict__ large, int dynamic, uint8_t* __restrict__ ways) {
+  SEEPAST_SHARED(uint16_t, path_costs);
+  paths_of(addresses, height, width, count, rows, small, large, dynamic, ways, path_costs);
+}
+
+// The same where P2 may be more than 255.
+extern "C" __global__ void __launch_bounds__(32 * kLines)
+    paths_in_words(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
+                   int small, const uint16_t* __restrict__ large, int dynamic, uint16_t* __restrict__ ways) {
+  SEEPAST_SHARED(uint16_t, path_costs);
+  paths_of(addresses, height, width, count, rows, small, large, dynamic, ways, path_costs);
+}
+
+// Sums of two candidates, one in each half of a word, for the 16 of a chunk.
+struct Sums {
+  unsigned pairs[kChunk / 2];
+
+  __device__ void add(unsigned times, const uint8_t* from) {
+    const uint4 v = *reinterpret_cast<const uint4*>(from);
+    const unsigned words[4] = {v.x, v.y, v.z, v.w};
+#pragma unroll
+    for (int i = 0; i < 4; ++i) {
+      pairs[2 * i] += times * __byte_perm(words[i], 0, 0x4140);
+      pairs[2 * i + 1] += times * __byte_perm(words[i], 0, 0x4342);
+    }
+  }
+  __device__ void add(unsigned times, const uint16_t* from) {
+#pragma unroll
+    for (int half = 0; half < 2; ++half) {
+      const uint4 v = reinterpret_cast<const uint4*>(from)[half];
+      pairs[4 * half] += times * v.x, pairs[4 * half + 1] += times * v.y;
+      pairs[4 * half + 2] += times * v.z, pairs[4 * half + 3] += times * v.w;
+    }
+  }
+  __device__ int of(int candidate) const { return pairs[candidate / 2] >> 16 * (candidate % 2) & 0xffff; }
+};
+
+// The first lowest candidate, in 32nds of a pixel, moved to the vertex of the parabola through it and those
+// beside it where both are active.
+template <typename Way>
+__device__ inline int winner(const View& v, int p, uint64_t active, int first, int step, int paths,
+                             size_t rows, const Way* __restrict__ ways) {
+  constexpr int kNone = 1 << 20;
+  int best = 0, lowest = kNone, left = kNone, right = kNone, before = kNone, chunk_before = -2;
+  bool just_found = false;  // the candidate before is the best: what follows is right of it
+  size_t row = v.start[p];
+  for (uint64_t rest = active; rest; rest &= rest - 1, ++row) {
+    const int chunk = __ffsll(static_cast<long long>(rest)) - 1;
+    if (chunk != chunk_before + 1) before = kNone, just_found = false;
+    chunk_before = chunk;
+    Sums sums{};
+    sums.add(paths, v.costs + kChunk * row);
+    for (int path = 0; path < paths; ++path) sums.add(1, ways + kChunk * (path * rows + v.first + row));
+#pragma unroll
+    for (int i = 0; i < kChunk; ++i) {
+      const int total = sums.of(i);
+      if (just_found) right = total;
+      just_found = total < lowest;
+      if (just_found) best = kChunk * chunk + i, lowest = total, left = before, right = kNone;
+      before = total;
+    }
+  }
+  int place = kUnits / 8 * (first + step * best);
+  const int half = kUnits / 16 * step, bend = left + right - 2 * lowest;
+  if (left < kNone && right < kNone && bend > 0)
+    place += (2 * half * (left - right + bend) + bend) / (2 * bend) - half;
+  return place;
+}
+
+template <typename Way>
+__device__ inline void winners_of(const uint64_t* addresses, int pixels, int first, int step, int paths,
+                                  size_t rows, const Way* ways, uint16_t* out) {
+  const int p = blockIdx.x * blockDim.x + threadIdx.x;
+  if (p >= pixels) return;
+  const View v = view_at(addresses, blockIdx.y);
+  const uint64_t active = v.active[p];
+  out[blockIdx.y * static_cast<size_t>(pixels) + p] =
+      active || !v.otherwise ? static_cast<uint16_t>(winner(v, p, active, first, step, paths, rows, ways))
+                             : v.otherwise[p];
+}
+
+// out uint16 [n, pixels]; pixels that are not matched take what `otherwise` has. Blocks of 256; y is the
+// view.
+extern "C" __global__ void __launch_bounds__(256)
+    winners_of_bytes(const uint64_t* __restrict__ addresses, int pixels, int first, int step, int paths,
+                     int64_t rows, const uint8_t* __restrict__ ways, uint16_t* __restrict__ out) {
+  winners_of(addresses, pixels, first, step, paths, rows, ways, out);
+}
+
+extern "C" __global__ void __launch_bounds__(256)
+    winners_of_words(const uint64_t* __restrict__ addresses, int pixels, int first, int step, int paths,
+                     int64_t rows, const uint16_t* __restrict__ ways, uint16_t* __restrict__ out) {
+  winners_of(addresses, pixels, first, step, paths, rows, ways, out);
+}
+
+__device__ inline void order(int& a, int& b) {
+  const int low = min(a, b);
+  b = max(a, b);
+  a = low;
+}
+
+// Brings the lowest of v[0 .. kCount - 1] to its beginning and the highest to its end.
+template <int kCount>
+__device__ inline void part(int* v) {
+#pragma unroll
+  for (int i = 0; i < kCount / 2; ++i) order(v[i], v[kCount - 1 - i]);
+#pragma unroll
+  for (int i = 1; i < (kCount + 1) / 2; ++i) order(v[0], v[i]);
+#pragma unroll
+  for (int i = kCount / 2; i < kCount - 1; ++i) order(v[i], v[kCount - 1]);
+}
+
+// Median of v[0 .. kCount - 1] and kCount - 3 values more, which `next` gives: as there are not more to come
+// than that, neither the lowest nor the highest can be it, and both are forgotten for the next value.
+template <int kCount>
+struct Forget {
+  template <typename Next>
+  __device__ static int median(int* v, Next next) {
+    part<kCount>(v);
+    v[0] = next();
+    return Forget<kCount - 1>::median(v, next);
+  }
+};
+template <>
+struct Forget<3> {
+  template <typename Next>
+  __device__ static int median(int* v, Next) {
+    part<3>(v);
+    return v[1];
+  }
+};
+
+constexpr int kMedianX = 32, kMedianY = 8, kMedianReach = 2;
+
+// in, out uint16 [n, height, width]: the median of 5x5 pixels; edges repeat. Blocks 32 x 8; z is the view.
+extern "C" __global__ void __launch_bounds__(kMedianX* kMedianY)
+    median(const uint16_t* __restrict__ in, int height, int width, uint16_t* __restrict__ out) {
+  constexpr int kSpanX = kMedianX + 2 * kMedianReach, kSpanY = kMedianY + 2 * kMedianReach;
+  __shared__ uint16_t tile[kSpanY][kSpanX];
+  const int left = blockIdx.x * kMedianX, top = blockIdx.y * kMedianY;
+  const size_t view = blockIdx.z * static_cast<size_t>(height) * width;
+  for (int i = threadIdx.y * kMedianX + threadIdx.x; i < kSpanX * kSpanY; i += kMedianX * kMedianY) {
+    const int x = clamp(left + i % kSpanX - kMedianReach, 0, width - 1),
+              y = clamp(top + i / kSpanX - kMedianReach, 0, height - 1);
+    tile[i / kSpanX][i % kSpanX] = in[view + static_cast<size_t>(y) * width + x];
+  }
+  __syncthreads();
+  const int x = left + threadIdx.x, y = top + threadIdx.y;
+  if (x >= width || y >= height) return;
+  int values[14], taken = 0;
+  const auto next = [&]() -> int {
+    const int i = taken++;
+    return tile[threadIdx.y + i / 5][threadIdx.x + i % 5];
+  };
+#pragma unroll
+  for (int i = 0; i < 14; ++i) values[i] = next();
+  out[view + static_cast<size_t>(y) * width + x] = static_cast<uint16_t>(Forget<14>::median(values, next));
+}
