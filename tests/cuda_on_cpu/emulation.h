@@ -325,6 +325,12 @@ inline unsigned __reduce_add_sync(unsigned mask, unsigned value) {
     if (in >> i & 1) sum += static_cast<unsigned>(lanes[2 * i]);
   return sum;
 }
+inline unsigned __reduce_min_sync(unsigned mask, unsigned value) {
+  const uint64_t* lanes = emulated::exchange(mask, value);
+  for (unsigned i = 0, in = emulated::present(mask); i < 32; ++i)
+    if (in >> i & 1 && lanes[2 * i] < value) value = static_cast<unsigned>(lanes[2 * i]);
+  return value;
+}
 inline unsigned __activemask() { return emulated::present(0xffffffffu); }
 
 inline int __syncthreads_count(int predicate) {
