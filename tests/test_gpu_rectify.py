@@ -1,0 +1,154 @@
+"""Rectification by the cuda backend, run on the CPU, against cv2.remap as frames.py calls it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from cuda_on_cpu import EmulatedDevice
+from seepast import frames
+from seepast.backends import cuda
+from seepast.backends.cuda_rectify import cubic_weights
+from seepast.gpu import device
+from seepast.rectify import rectify
+from seepast.rig import Camera, Rig
+from test_rectify import crooked_rig
+
+OPENCV_5 = int(cv2.__version__.split(".")[0]) >= 5
+
+
+@pytest.fixture(autouse=True)
+def emulated():
+    with device.use(EmulatedDevice()) as found:
+        yield found
+
+
+def straight_rig(bent: tuple[int, ...] = ()) -> Rig:
+    """Three cameras that need no rectification but for those of `bent`, which have a lens; odd sizes."""
+    made = []
+    for k in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = -0.1 * k
+        lens = ("radtan", (-0.2, 0.05, 0.001, 0.0)) if k in bent else ("none", ())
+        made.append(Camera(f"cam{k}", "pinhole", lens[0], (90.0, 90.0, 50.0, 36.0), lens[1], (101, 73), pose))
+    return Rig(tuple(made))
+
+
+def two_sizes() -> Rig:
+    """The second camera has images of another size."""
+    rig = crooked_rig(3)
+    cameras = list(rig.cameras)
+    cameras[1] = replace(cameras[1], resolution=(201, 151))
+    return Rig(tuple(cameras))
+
+
+RIGS = {
+    "crooked": lambda: crooked_rig(2),
+    "5 crooked": lambda: crooked_rig(5),
+    "straight": straight_rig,
+    "one bent": lambda: straight_rig((1,)),
+    "reference bent": lambda: straight_rig((0,)),
+    "two sizes": two_sizes,
+}
+every_rig = pytest.mark.parametrize("name", RIGS)
+
+
+def pictures(rig: Rig, colour: bool, seed: int = 0) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    rng = np.random.default_rng(seed)
+    shapes = [camera.resolution[::-1] for camera in rig.cameras]
+    images = [rng.integers(0, 256, (*shape, 3) if colour else shape, np.uint8) for shape in shapes]
+    masks = [rng.integers(0, 256, shape, np.uint8) for shape in shapes]
+    masks[-1][:] = 0
+    return images, masks
+
+
+def assert_same(expected: np.ndarray, found: np.ndarray, exact: bool = True) -> None:
+    assert expected.shape == found.shape
+    assert expected.dtype == found.dtype
+    if exact:
+        assert np.array_equal(expected, found), f"{(expected != found).mean():.2%} differ"
+    else:
+        assert cv2.absdiff(expected, found).max() <= 1
+        assert (expected != found).mean() < 0.02
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "cubic"])
+@pytest.mark.parametrize("colour", [False, True], ids=["grey", "colour"])
+@every_rig
+def test_a_frame(name, colour, interpolation):
+    rig = RIGS[name]()
+    rectification = rectify(rig)
+    images, masks = pictures(rig, colour)
+    expected = frames.rectified_frame(rectification, images, masks, interpolation)
+    found = cuda.rectified_frame(rectification, images, masks, interpolation)
+    exact = interpolation == "linear" or OPENCV_5
+    for part in ("colour", "grey", "dynamic"):
+        assert_same(getattr(expected, part), getattr(found, part), exact or part == "dynamic")
+    assert not np.may_share_memory(found.colour, images[0])
+
+
+@pytest.mark.skipif(not OPENCV_5, reason="OpenCV 4 rounds the weights of cubic interpolation")
+def test_every_fraction_of_cubic_interpolation():
+    """At all 32 x 32 fractions, on the image, at its border and off it."""
+    rng = np.random.default_rng(1)
+    image = rng.integers(0, 256, (9, 11), np.uint8)
+    fraction = np.arange(1024, dtype=np.uint16).repeat(64).reshape(256, 256)
+    whole = np.stack([rng.integers(-3, 14, (256, 256)), rng.integers(-3, 12, (256, 256))], axis=-1).astype(np.int16)
+    expected = cv2.remap(image, whole, fraction, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    sizes, nothing = np.array([[11, 9]], np.int32), np.zeros(1, np.uint64)
+    found, dynamic, no_ray = np.empty_like(expected), np.empty_like(expected), np.zeros_like(expected)
+    device.current().launch(
+        "rectify", "rectify", grid=(8, 32, 1), block=(32, 8),
+        args=[
+            np.array([image.ctypes.data], np.uint64), nothing, sizes, np.zeros(1, np.int32), whole, fraction, no_ray,
+            cubic_weights(), np.int32(1), np.int32(256), np.int32(256), np.int32(1), found, found, dynamic,
+        ],
+    )  # fmt: skip
+    assert_same(expected, found)
+    assert not dynamic.any()
+
+
+def test_grey_of_every_colour():
+    """Cameras that pass through: what is left is cv2.cvtColor."""
+    rig = straight_rig()
+    levels = np.arange(256, dtype=np.uint8)
+    some = np.stack(np.meshgrid(levels[::3], levels[::3], levels[1::2], indexing="ij"), axis=-1).reshape(-1, 3)
+    some = np.resize(some, (len(some) // 7373 * 7373, 3)).reshape(-1, 73, 101, 3)
+    for at in range(0, len(some) - 2, 3):
+        images = list(some[at : at + 3])
+        masks = [np.zeros((73, 101), np.uint8)] * 3
+        found = cuda.rectified_frame(rectify(rig), images, masks)
+        assert_same(np.stack([cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in images]), found.grey)
+
+
+@every_rig
+def test_masks_on_their_way_back(name):
+    rig = RIGS[name]()
+    rectification = rectify(rig)
+    _, masks = pictures(rig, colour=False, seed=2)
+    width, height = rectification.geometry.size
+    rng = np.random.default_rng(3)
+    dynamic = rng.integers(0, 256, (len(masks), height, width), np.uint8)
+    dynamic[:, ::3] = np.where(dynamic[:, ::3] < 128, 0, 255)
+    expected = frames.input_masks(rectification, dynamic, masks)
+    found = cuda.input_masks(rectification, dynamic, masks)
+    assert len(expected) == len(found)
+    for a, b in zip(expected, found, strict=True):
+        assert_same(a, b)
+
+
+def test_one_launch_each_and_maps_uploaded_once(emulated, monkeypatch):
+    rig = crooked_rig(3)
+    rectification = rectify(rig)
+    images, masks = pictures(rig, colour=True)
+    uploaded, upload = [], emulated.upload
+    monkeypatch.setattr(emulated, "upload", lambda array: uploaded.append(array) or upload(array))
+    frame = cuda.rectified_frame(rectification, images, masks)
+    first = len(uploaded)
+    cuda.rectified_frame(rectification, images, masks)
+    cuda.input_masks(rectification, frame.dynamic, masks)
+    assert emulated.launches == ["rectify.rectify"] * 2 + ["rectify.to_input"]
+    assert sum(array.size > 1000 for array in uploaded[first:]) == 3 + 3 + 3  # images and masks, and no maps
