@@ -14,7 +14,7 @@ from seepast.evidence import UNCHANGED
 from seepast.gpu import device
 from seepast.gpu.morphology import dilated, eroded
 from seepast.rectify import NO_RAY
-from test_stages import GRID, OPTIONS, SCENES, SMALL, Case, assert_same, case, random_labels
+from test_stages import OPTIONS, SCENES, SMALL, Case, assert_same, case, random_labels
 
 every_scene = pytest.mark.parametrize("name", SCENES)
 

@@ -98,9 +98,7 @@ def download(found: Any) -> Any:
 
 def describe(grey: Any) -> Features:
     used, (K, height, width) = device.current(), grey.shape
-    features = Features(
-        used.xp.empty((K, height, width, 2), np.int8), used.xp.empty((K, height, width, 16), np.uint8)
-    )
+    features = Features(used.xp.empty((K, height, width, 2), np.int8), used.xp.empty((K, height, width, 16), np.uint8))
     used.launch(
         "describe", "describe", grid=tiles(grey.shape), block=TILE,
         args=[grey, *i32(height, width), features.gradients.view(np.uint8), features.descriptors],
@@ -143,7 +141,7 @@ def support(
     options: SupportOptions,
     near: Any | None = None,
 ) -> np.ndarray:
-    """As reference.support, but NumPy's: the triangulation on the CPU waits for the points (12 bytes per grid point)."""
+    """As reference.support, but of NumPy: the triangulation on the CPU waits for it (12 bytes per grid point)."""
     used, (K, height, width) = device.current(), static.shape
     rows, columns = (-(-size // options.grid) for size in (height, width))
     clear = eroded(static, BLOCK_REACH)

@@ -50,9 +50,7 @@ def rectified_frame(
     return frame
 
 
-def input_masks(
-    rectification: Rectification, dynamic: Any, masks: Sequence[Any], threads: int = 0
-) -> tuple[Any, ...]:
+def input_masks(rectification: Rectification, dynamic: Any, masks: Sequence[Any], threads: int = 0) -> tuple[Any, ...]:
     """frames.input_masks: dynamic uint8 [K, H, W] of the device, `masks` NumPy's or the device's; K masks uint8 [h, w]
     of the device, one behind the other in one piece of memory."""
     used, K = device.current(), len(masks)

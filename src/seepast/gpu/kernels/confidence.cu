@@ -2,18 +2,21 @@
 #include "device.h"
 
 constexpr int kTileX = 32, kTileY = 8;
-constexpr int kReach = 4;                  // confidence.py REACH: a square of 9 x 9
-constexpr float kUnits = 32.0f;            // many.py UNITS, of a pixel
+constexpr int kReach = 4;        // confidence.py REACH: a square of 9 x 9
+constexpr float kUnits = 32.0f;  // many.py UNITS, of a pixel
 
-// 7 where the disparities of a square are equal, less the more they differ: confidence.py STEPS, 32nds of a pixel.
+// 7 where the disparities of a square are equal, less the more they differ: confidence.py STEPS, 32nds of a
+// pixel.
 static __device__ int flatness(int spread) {
-  return 7 - (spread > 7) - (spread > 15) - (spread > 23) - (spread > 31) - (spread > 47) - (spread > 63) - (spread > 127);
+  return 7 - (spread > 7) - (spread > 15) - (spread > 23) - (spread > 31) - (spread > 47) - (spread > 63) -
+         (spread > 127);
 }
 
-// confidence.of_labels: evidence uint8 [H, W] of disparity float32 px and labels uint16 [H, W]. Blocks of 32 x 8.
+// confidence.of_labels: evidence uint8 [H, W] of disparity float32 px and labels uint16 [H, W]. Blocks of 32
+// x 8.
 extern "C" __global__ void __launch_bounds__(kTileX* kTileY)
-    evidence_of_labels(const float* __restrict__ disparity, const uint16_t* __restrict__ labels, int reference,
-                       int height, int width, uint8_t* __restrict__ evidence) {
+    evidence_of_labels(const float* __restrict__ disparity, const uint16_t* __restrict__ labels,
+                       int reference, int height, int width, uint8_t* __restrict__ evidence) {
   __shared__ int lows[kTileY + 2 * kReach][kTileX], highs[kTileY + 2 * kReach][kTileX];  // of nine in a row
   const int x = blockIdx.x * kTileX + threadIdx.x, top = blockIdx.y * kTileY;
   for (int j = threadIdx.y; j < kTileY + 2 * kReach; j += kTileY) {

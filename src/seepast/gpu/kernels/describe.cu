@@ -23,8 +23,8 @@ static __device__ unsigned bytes(unsigned a, unsigned b, unsigned c, unsigned d)
   return a | b << 8 | c << 16 | d << 24;
 }
 
-// Blocks of 32 x 8 pixels of camera blockIdx.z. grey [K, H, W]; gradients int8 [K, H, W, 2]; descriptors [K, H, W] of
-// 16 bytes each, biased by 128.
+// Blocks of 32 x 8 pixels of camera blockIdx.z. grey [K, H, W]; gradients int8 [K, H, W, 2]; descriptors [K,
+// H, W] of 16 bytes each, biased by 128.
 extern "C" __global__ void __launch_bounds__(kTileX* kTileY)
     describe(const uint8_t* __restrict__ grey, int height, int width, uint8_t* __restrict__ gradients,
              uint8_t* __restrict__ descriptors) {

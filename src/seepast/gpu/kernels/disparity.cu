@@ -1,9 +1,9 @@
-// Stage "disparity", the M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d | T, x) over the candidates, and
-// which pixels a change of labels concerns.
+// Stage "disparity", the M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d | T, x) over the candidates,
+// and which pixels a change of labels concerns.
 //
-// A block has one cell of 32 x 16 pixels, which share most of their candidates. It goes through them one by one: the
-// variances of single gradients of all its pixels, and two around, into shared memory; then every pixel adds up those
-// of its descriptor's pattern.
+// A block has one cell of 32 x 16 pixels, which share most of their candidates. It goes through them one by
+// one: the variances of single gradients of all its pixels, and two around, into shared memory; then every
+// pixel adds up those of its descriptor's pattern.
 #include "device.h"
 
 using namespace seepast;
@@ -15,9 +15,9 @@ constexpr int kPlaceColumns = kCellColumns + 2 * kReach, kPlaceRows = kCellRows 
 constexpr int kPlaces = kPlaceColumns * kPlaceRows;
 constexpr int kPlacesEach = (kPlaces + kThreads - 1) / kThreads;
 constexpr unsigned kAllLanes = 0xffffffffu;
-constexpr uint32_t kStatic = 1u << 31;       // in a pair of gradients
-constexpr uint32_t kBoth = 0x00ff00ffu;      // du and dv in it
-constexpr int kSeen = 1 << 19;               // in packed variances of du: at least one ray; 16 of them stay below 2^24
+constexpr uint32_t kStatic = 1u << 31;   // in a pair of gradients
+constexpr uint32_t kBoth = 0x00ff00ffu;  // du and dv in it
+constexpr int kSeen = 1 << 19;  // in packed variances of du: at least one ray; 16 of them stay below 2^24
 
 // Candidates d = (first + i * step) / 8, i < count.
 struct Candidates {
@@ -47,10 +47,10 @@ static __device__ Pixels pixels_of_thread(const uint8_t* wanted, const int32_t* 
   return p;
 }
 
-// Bits of the candidates that any pixel of the block may take, into `active`: those of the cell, and those within
-// `radius` eighths of a pixel's prior mean. False, in all threads alike, if no pixel is wanted.
-static __device__ bool candidates_of_cell(const Pixels& p, const Candidates& grid, const uint8_t* cell, int radius,
-                                          uint32_t* active) {
+// Bits of the candidates that any pixel of the block may take, into `active`: those of the cell, and those
+// within `radius` eighths of a pixel's prior mean. False, in all threads alike, if no pixel is wanted.
+static __device__ bool candidates_of_cell(const Pixels& p, const Candidates& grid, const uint8_t* cell,
+                                          int radius, uint32_t* active) {
   __shared__ int lows[kWarps], highs[kWarps];
   constexpr int kMost = 0x3fffffff;
   int low = kMost, high = -kMost;
@@ -77,8 +77,8 @@ static __device__ const uint8_t* cell_of_block(const uint8_t* cells, int count) 
   return cells + (static_cast<size_t>(blockIdx.y) * gridDim.x + blockIdx.x) * count;
 }
 
-// Gradients as matching reads them, uint32 [K, H, W] and one more: (du + 128) | (dv + 128) << 16 | kStatic, or 0 where
-// not static. gradients [K, H, W] of two signed bytes. One thread per pixel.
+// Gradients as matching reads them, uint32 [K, H, W] and one more: (du + 128) | (dv + 128) << 16 | kStatic,
+// or 0 where not static. gradients [K, H, W] of two signed bytes. One thread per pixel.
 extern "C" __global__ void __launch_bounds__(kThreads)
     static_gradients(const uchar2* __restrict__ gradients, const uint8_t* __restrict__ is_static, int count,
                      uint32_t* __restrict__ out) {
@@ -88,8 +88,8 @@ extern "C" __global__ void __launch_bounds__(kThreads)
   out[i] = is_static[i] ? (g.x ^ 128u) | (g.y ^ 128u) << 16 | kStatic : 0;
 }
 
-// Rays of one place added up: n, the sums of du and dv in 16 bits each, the sums of their squares. The bias of 128
-// leaves variances as they are.
+// Rays of one place added up: n, the sums of du and dv in 16 bits each, the sums of their squares. The bias
+// of 128 leaves variances as they are.
 struct Sums {
   uint32_t n = 0, both = 0, du = 0, dv = 0;
 
@@ -107,15 +107,18 @@ struct Sums {
 
 // pixel.h packed_variance; inverse_squares[n] = (1 / n)^2.
 static __device__ int packed(uint32_t n, uint32_t sum, uint32_t squares, const float* inverse_squares) {
-  const int variance = static_cast<int>(static_cast<float>(static_cast<int>(n * squares - sum * sum)) * inverse_squares[n]);
+  const int variance =
+      static_cast<int>(static_cast<float>(static_cast<int>(n * squares - sum * sum)) * inverse_squares[n]);
   return n >= 2 ? variance + kSampleKnown : 0;
 }
 
-// The two pixels' sums of packed variances over the descriptor's pattern; rows[0] is two rows above the upper one.
+// The two pixels' sums of packed variances over the descriptor's pattern; rows[0] is two rows above the upper
+// one.
 struct Pattern {
   int upper, lower;
 };
-static __device__ Pattern pattern_sums(const int (*du)[kPlaceColumns], const int (*dv)[kPlaceColumns], int x) {
+static __device__ Pattern pattern_sums(const int (*du)[kPlaceColumns], const int (*dv)[kPlaceColumns],
+                                       int x) {
   Pattern sum;
   const int r1 = du[1][x + 2], r4 = du[4][x + 2];
   const int r2 = du[2][x + 2], r3 = du[3][x + 2];
@@ -135,15 +138,17 @@ struct Best {
 };
 
 // Blocks of 32 x 8 threads, one per cell; 4 bytes of shared memory per 32 candidates.
-//   gradients [K, H, W] of static_gradients; shifts [count, K, 3]: zoom and parallax of ray_shift per candidate
-//   offsets [K, kOffsets]; mean int32 [H, W]; cells uint8 [.., .., count]; wanted [H, W]; table: prior energies
+//   gradients [K, H, W] of static_gradients; shifts [count, K, 3]: zoom and parallax of ray_shift per
+//   candidate offsets [K, kOffsets]; mean int32 [H, W]; cells uint8 [.., .., count]; wanted [H, W]; table:
+//   prior energies
 // out [H, W] px, 0 where not wanted.
 extern "C" __global__ void __launch_bounds__(kThreads, 4)
     disparity(const uint32_t* __restrict__ gradients, const float* __restrict__ shifts,
               const float* __restrict__ offsets, int cameras, int height, int width, float cx, float cy,
-              const int32_t* __restrict__ mean, const uint8_t* __restrict__ cells, int first, int step, int count,
-              const uint8_t* __restrict__ wanted, float beta, float lone_variance, float unseen_variance, int radius,
-              const float* __restrict__ table, int tail, float* __restrict__ out) {
+              const int32_t* __restrict__ mean, const uint8_t* __restrict__ cells, int first, int step,
+              int count, const uint8_t* __restrict__ wanted, float beta, float lone_variance,
+              float unseen_variance, int radius, const float* __restrict__ table, int tail,
+              float* __restrict__ out) {
   SEEPAST_SHARED(uint32_t, active);
   __shared__ int du[2][kPlaceRows][kPlaceColumns], dv[2][kPlaceRows][kPlaceColumns];
   __shared__ float inverse_squares[kMaxCameras + 1], scales[kSamples + 1];
@@ -164,7 +169,8 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
     const int place = t + r * kThreads;
     place_x[r] = static_cast<int>(blockIdx.x) * kCellColumns - kReach + place % kPlaceColumns;
     place_y[r] = static_cast<int>(blockIdx.y) * kCellRows - kReach + place / kPlaceColumns;
-    if (place_x[r] < 0 || place_x[r] >= width || place_y[r] >= height) place_y[r] = -1;  // no pixel: no variance
+    if (place_x[r] < 0 || place_x[r] >= width || place_y[r] >= height)
+      place_y[r] = -1;  // no pixel: no variance
   }
   int half = 0;
   for (int word = 0; any && 32 * word < count; ++word)
@@ -212,7 +218,8 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
     }
   for (int j = 0; j < 2; ++j)
     if (p.x < width && p.y + j < height)
-      out[static_cast<size_t>(p.y + j) * width + p.x] = best.candidate[j] < 0 ? 0.0f : grid.value(best.candidate[j]);
+      out[static_cast<size_t>(p.y + j) * width + p.x] =
+          best.candidate[j] < 0 ? 0.0f : grid.value(best.candidate[j]);
 }
 
 // Whether the pixel, or the one right of it, of row `row` is set in `changed` [H, W].
@@ -223,12 +230,13 @@ static __device__ bool meets(const uint8_t* changed, int xq, int row, int height
   return (left >= 0 && left < width && line[left]) || (left >= -1 && left + 1 < width && line[left + 1]);
 }
 
-// out [H, W]: pixels with a candidate whose rays end on or beside a pixel of changed [K, H, W]. The rest as above.
+// out [H, W]: pixels with a candidate whose rays end on or beside a pixel of changed [K, H, W]. The rest as
+// above.
 extern "C" __global__ void __launch_bounds__(kThreads)
-    affected(const uint8_t* __restrict__ changed, const float* __restrict__ shifts, const float* __restrict__ offsets,
-             int cameras, int height, int width, float cx, float cy, const int32_t* __restrict__ mean,
-             const uint8_t* __restrict__ cells, int first, int step, int count, const uint8_t* __restrict__ wanted,
-             int radius, uint8_t* __restrict__ out) {
+    affected(const uint8_t* __restrict__ changed, const float* __restrict__ shifts,
+             const float* __restrict__ offsets, int cameras, int height, int width, float cx, float cy,
+             const int32_t* __restrict__ mean, const uint8_t* __restrict__ cells, int first, int step,
+             int count, const uint8_t* __restrict__ wanted, int radius, uint8_t* __restrict__ out) {
   SEEPAST_SHARED(uint32_t, active);
   const Candidates grid{first, step, count};
   const Pixels p = pixels_of_thread(wanted, mean, height, width);

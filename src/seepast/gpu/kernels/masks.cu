@@ -1,14 +1,16 @@
-// Stage "masks": labels of (reference pixel, camera) pairs carried into each camera's own pixels, nearest first.
+// Stage "masks": labels of (reference pixel, camera) pairs carried into each camera's own pixels, nearest
+// first.
 #include "device.h"
 
 using namespace seepast;
 
-// Per pixel of every camera the rank of the reference pixel that speaks for it: the bits of its disparity, which is not
-// negative, and below them the more the earlier it comes. ranks [K, H, W], zero before. Blocks of 32 x 8 of camera
-// blockIdx.z.
+// Per pixel of every camera the rank of the reference pixel that speaks for it: the bits of its disparity,
+// which is not negative, and below them the more the earlier it comes. ranks [K, H, W], zero before. Blocks
+// of 32 x 8 of camera blockIdx.z.
 extern "C" __global__ void __launch_bounds__(256)
-    land(const float* __restrict__ offsets, int height, int width, float cx, float cy, const float* __restrict__ d,
-         const uint8_t* __restrict__ wanted, unsigned long long* __restrict__ ranks) {
+    land(const float* __restrict__ offsets, int height, int width, float cx, float cy,
+         const float* __restrict__ d, const uint8_t* __restrict__ wanted,
+         unsigned long long* __restrict__ ranks) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y, k = blockIdx.z;
   if (x >= width || y >= height) return;
   const unsigned from = y * width + x;
@@ -20,8 +22,8 @@ extern "C" __global__ void __launch_bounds__(256)
   atomicMax(ranks + (static_cast<size_t>(k) * height + py) * width + px, rank);
 }
 
-// Both priors with what the labels say in their place. Pixels without a ray keep theirs. Blocks of 256 pixels of camera
-// blockIdx.y.
+// Both priors with what the labels say in their place. Pixels without a ray keep theirs. Blocks of 256 pixels
+// of camera blockIdx.y.
 extern "C" __global__ void __launch_bounds__(256)
     carry_back(const unsigned long long* __restrict__ ranks, const uint16_t* __restrict__ labels,
                const uint8_t* __restrict__ posterior, const uint8_t* __restrict__ prior_dynamic,

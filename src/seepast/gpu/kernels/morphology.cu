@@ -23,11 +23,12 @@ static __device__ unsigned dilated(uint64_t bits, int reach) {
   return static_cast<unsigned>(bits | bits >> (span - have));
 }
 
-// out[k, y, x] = any of in[k, y - reach .. y + reach, x - reach .. x + reach], reach <= 16. With `invert` both masks
-// are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8 threads, tiles of
-// 32 x 32 pixels of view blockIdx.z.
+// out[k, y, x] = any of in[k, y - reach .. y + reach, x - reach .. x + reach], reach <= 16. With `invert`
+// both masks are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8
+// threads, tiles of 32 x 32 pixels of view blockIdx.z.
 extern "C" __global__ void __launch_bounds__(kTile* kWarps)
-    grow(const uint8_t* __restrict__ in, int height, int width, int reach, int invert, uint8_t* __restrict__ out) {
+    grow(const uint8_t* __restrict__ in, int height, int width, int reach, int invert,
+         uint8_t* __restrict__ out) {
   __shared__ unsigned rows[kTile + 2 * kMostReach];
   const int left = blockIdx.x * kTile, top = blockIdx.y * kTile;
   const size_t view = static_cast<size_t>(blockIdx.z) * height * width;
@@ -44,6 +45,7 @@ extern "C" __global__ void __launch_bounds__(kTile* kWarps)
     unsigned bits = 0;
     for (int i = 0; i <= 2 * reach; ++i) bits |= rows[j + i];
     if (x < width)
-      out[view + static_cast<size_t>(top + j) * width + x] = static_cast<uint8_t>((bits >> threadIdx.x & 1) ^ invert);
+      out[view + static_cast<size_t>(top + j) * width + x] =
+          static_cast<uint8_t>((bits >> threadIdx.x & 1) ^ invert);
   }
 }

@@ -1,4 +1,5 @@
-// Stage "prior": the planes of the triangulation, and the candidates that every cell's support points suggest.
+// Stage "prior": the planes of the triangulation, and the candidates that every cell's support points
+// suggest.
 #include "device.h"
 
 using namespace seepast;
@@ -7,7 +8,8 @@ constexpr int kTrianglesX = 16, kTrianglesY = 8;  // threads that fill one trian
 constexpr unsigned long long kUncovered = ~0ull;
 constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
 
-// Corners lie at whole pixels, so that areas are whole numbers. Disparities as in cpp/prior.cpp, in double precision.
+// Corners lie at whole pixels, so that areas are whole numbers. Disparities as in cpp/prior.cpp, in double
+// precision.
 struct Triangle {
   int x[3], y[3];
   double d[3], slope_x, slope_y;
@@ -43,11 +45,12 @@ struct Triangle {
   }
 };
 
-// owners uint64 [H, W], all ones before: of the first triangle (points float [N, 3], triangles int32 [T, 3]) that covers
-// a pixel its number, and below it the plane's disparity there in eighths of a pixel. A block of 16 x 8 per triangle.
+// owners uint64 [H, W], all ones before: of the first triangle (points float [N, 3], triangles int32 [T, 3])
+// that covers a pixel its number, and below it the plane's disparity there in eighths of a pixel. A block of
+// 16 x 8 per triangle.
 extern "C" __global__ void __launch_bounds__(kTrianglesX* kTrianglesY)
-    plane_means(const float* __restrict__ points, const int32_t* __restrict__ triangles, int width, double max_step,
-                unsigned long long* __restrict__ owners) {
+    plane_means(const float* __restrict__ points, const int32_t* __restrict__ triangles, int width,
+                double max_step, unsigned long long* __restrict__ owners) {
   const unsigned t = blockIdx.x;
   const Triangle triangle(points, triangles + 3 * static_cast<size_t>(t), max_step);
   if (triangle.area == 0) return;
@@ -64,10 +67,11 @@ extern "C" __global__ void __launch_bounds__(kTrianglesX* kTrianglesY)
     }
 }
 
-// Pixels that no triangle covers take the nearest covered one of their row, the left one of two; `gap` where it has none.
-// Blocks of 32 x 8.
+// Pixels that no triangle covers take the nearest covered one of their row, the left one of two; `gap` where
+// it has none. Blocks of 32 x 8.
 extern "C" __global__ void __launch_bounds__(256)
-    fill_rows(const unsigned long long* __restrict__ owners, int height, int width, int gap, int32_t* __restrict__ mean) {
+    fill_rows(const unsigned long long* __restrict__ owners, int height, int width, int gap,
+              int32_t* __restrict__ mean) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const unsigned long long* row = owners + static_cast<size_t>(y) * width;
@@ -79,7 +83,8 @@ extern "C" __global__ void __launch_bounds__(256)
   mean[static_cast<size_t>(y) * width + x] = found == kUncovered ? gap : static_cast<int32_t>(found);
 }
 
-// The same along columns for the rows without any, the upper of two; then within low .. high. Blocks of 32 x 8.
+// The same along columns for the rows without any, the upper of two; then within low .. high. Blocks of 32
+// x 8.
 extern "C" __global__ void __launch_bounds__(256)
     fill_columns(const int32_t* __restrict__ rows, int height, int width, int gap, int low, int high,
                  int32_t* __restrict__ mean) {
@@ -93,11 +98,11 @@ extern "C" __global__ void __launch_bounds__(256)
   mean[static_cast<size_t>(y) * width + x] = clamp(found, low, high);
 }
 
-// cells uint8 [rows, columns, count], zero before: 1 for candidates (first + i * step) / 8 within `radius` of a support
-// point of the 3x3 cells around. points [N, 3]. Nine threads per point, blocks of 256.
+// cells uint8 [rows, columns, count], zero before: 1 for candidates (first + i * step) / 8 within `radius` of
+// a support point of the 3x3 cells around. points [N, 3]. Nine threads per point, blocks of 256.
 extern "C" __global__ void __launch_bounds__(256)
-    cell_candidates(const float* __restrict__ points, int count_of_points, int rows, int columns, int first, int step,
-                    int count, float radius, uint8_t* __restrict__ cells) {
+    cell_candidates(const float* __restrict__ points, int count_of_points, int rows, int columns, int first,
+                    int step, int count, float radius, uint8_t* __restrict__ cells) {
   const int t = blockIdx.x * 256 + threadIdx.x;
   if (t >= 9 * count_of_points) return;
   const float* p = points + 3 * static_cast<size_t>(t / 9);

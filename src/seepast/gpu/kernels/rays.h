@@ -10,12 +10,14 @@ struct QuarterPosition {
 };
 
 // Where matching looks in a camera of these offsets: pixel (x, y) of the view with principal point (cx, cy).
-static __device__ inline QuarterPosition quarter_position(const float* offset, float cx, float cy, int x, int y, float d) {
+static __device__ inline QuarterPosition quarter_position(const float* offset, float cx, float cy, int x,
+                                                          int y, float d) {
   const RayShift shift = ray_shift(offset, d);
   return {4 * x + quarter_offset(ray_dx(shift, x, cx)), y + whole_offset(ray_dy(shift, y, cy))};
 }
 
-// Sixteen samples, each in 16 bits: samples 0 2, 1 3, 4 6, 5 7 ... of a descriptor interpolated at a quarter position.
+// Sixteen samples, each in 16 bits: samples 0 2, 1 3, 4 6, 5 7 ... of a descriptor interpolated at a quarter
+// position.
 struct Samples {
   uint32_t pairs[8];
 };
@@ -26,7 +28,8 @@ static __device__ inline Samples ray_samples(const uint4& left, const uint4& rig
   Samples s;
   for (int i = 0; i < 4; ++i) {  // a product has 10 bits at most, so that pairs do not meet
     s.pairs[2 * i] = (((a[i] & kEven) * (4 - phase) + (b[i] & kEven) * phase + kHalf) >> 2) & kEven;
-    s.pairs[2 * i + 1] = (((a[i] >> 8 & kEven) * (4 - phase) + (b[i] >> 8 & kEven) * phase + kHalf) >> 2) & kEven;
+    s.pairs[2 * i + 1] =
+        (((a[i] >> 8 & kEven) * (4 - phase) + (b[i] >> 8 & kEven) * phase + kHalf) >> 2) & kEven;
   }
   return s;
 }
@@ -38,7 +41,8 @@ static __device__ inline Samples samples_at(const uint4* descriptors, int width,
   return ray_samples(left[0], left[phase ? 1 : 0], phase);
 }
 
-// Descriptors added up, for the sum of squared differences of all pairs: n sum f^2 - (sum f)^2. Up to 16 rays.
+// Descriptors added up, for the sum of squared differences of all pairs: n sum f^2 - (sum f)^2. Up to 16
+// rays.
 struct Spread {
   uint32_t sums[8] = {0, 0, 0, 0, 0, 0, 0, 0};  // of two samples each
   uint32_t squares = 0;

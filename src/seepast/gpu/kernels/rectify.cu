@@ -1,11 +1,11 @@
-// Stage "rectify": images and masks of all cameras into the common orientation, and refined masks back. Both give what
-// cv2.remap gives: positions in 32nds of a pixel, edges continued.
+// Stage "rectify": images and masks of all cameras into the common orientation, and refined masks back. Both
+// give what cv2.remap gives: positions in 32nds of a pixel, edges continued.
 #include "device.h"
 
 using namespace seepast;
 
 constexpr int kFractions = 32;  // of a pixel
-constexpr int kTaps = 4;  // of cubic interpolation, along each axis
+constexpr int kTaps = 4;        // of cubic interpolation, along each axis
 constexpr int kMaxDynamic = 254;
 
 // An image of a camera, [height, width, channels].
@@ -13,7 +13,8 @@ struct Image {
   const uint8_t* pixels;
   int width, height, channels;
   __device__ int at(int x, int y, int c) const {
-    return pixels[(static_cast<size_t>(clamp(y, 0, height - 1)) * width + clamp(x, 0, width - 1)) * channels + c];
+    return pixels[(static_cast<size_t>(clamp(y, 0, height - 1)) * width + clamp(x, 0, width - 1)) * channels +
+                  c];
   }
 };
 
@@ -34,8 +35,8 @@ static __device__ int linear(const Image& image, const Source& s, int c) {
   return (upper * (kFractions - fy) + lower * fy + kFractions * kFractions / 2) / (kFractions * kFractions);
 }
 
-// weights float [32, 4] of the pixels from one before on, by 32nds. Row by row, multiplied and added in one rounding, as
-// OpenCV 5 does it.
+// weights float [32, 4] of the pixels from one before on, by 32nds. Row by row, multiplied and added in one
+// rounding, as OpenCV 5 does it.
 static __device__ int cubic(const Image& image, const Source& s, const float4* weights, int c) {
   const float4 across = weights[s.fraction % kFractions], down = weights[s.fraction / kFractions];
   float rows[kTaps];
@@ -58,13 +59,14 @@ static __device__ uint8_t grey_of(const int* bgr) {
 
 // Blocks of 32 x 8 pixels of camera blockIdx.z.
 //   images, masks uint64 [K]: addresses of uint8 [h, w, channels] and [h, w]; 0 for a mask of nothing
-//   sizes int32 [K, 2]: (w, h); slots int32 [K]: which of the maps is the camera's, -1 if its image is the view already
-//   whole int16 [M, H, W, 2], fraction uint16 [M, H, W]: maps; no_ray uint8 [M, H, W]: NO_RAY or 0
-//   weights float [32, 4]: of cubic interpolation, if use_cubic
+//   sizes int32 [K, 2]: (w, h); slots int32 [K]: which of the maps is the camera's, -1 if its image is the
+//   view already whole int16 [M, H, W, 2], fraction uint16 [M, H, W]: maps; no_ray uint8 [M, H, W]: NO_RAY or
+//   0 weights float [32, 4]: of cubic interpolation, if use_cubic
 // colour [K, H, W, channels], channels 1 or 3; grey (of 1: not written) and dynamic [K, H, W].
 extern "C" __global__ void __launch_bounds__(256)
-    rectify(const uint64_t* __restrict__ images, const uint64_t* __restrict__ masks, const int32_t* __restrict__ sizes,
-            const int32_t* __restrict__ slots, const short2* __restrict__ whole, const uint16_t* __restrict__ fraction,
+    rectify(const uint64_t* __restrict__ images, const uint64_t* __restrict__ masks,
+            const int32_t* __restrict__ sizes, const int32_t* __restrict__ slots,
+            const short2* __restrict__ whole, const uint16_t* __restrict__ fraction,
             const uint8_t* __restrict__ no_ray, const float4* __restrict__ weights, int use_cubic, int height,
             int width, int channels, uint8_t* __restrict__ colour, uint8_t* __restrict__ grey,
             uint8_t* __restrict__ dynamic) {
@@ -80,7 +82,9 @@ extern "C" __global__ void __launch_bounds__(256)
 #pragma unroll
   for (int c = 0; c < 3; ++c) {
     if (c >= channels) break;
-    value[c] = !bent ? image.at(x, y, c) : use_cubic ? cubic(image, source, weights, c) : linear(image, source, c);
+    value[c] = !bent       ? image.at(x, y, c)
+               : use_cubic ? cubic(image, source, weights, c)
+                           : linear(image, source, c);
     colour[to * channels + c] = static_cast<uint8_t>(value[c]);
   }
   if (channels == 3) grey[to] = grey_of(value);
@@ -90,16 +94,20 @@ extern "C" __global__ void __launch_bounds__(256)
 }
 
 // 254ths of P(dynamic) as 255ths; 255, no ray, stays.
-static __device__ int to_bytes(int dynamic) { return dynamic == kNoRay ? dynamic : dynamic + (dynamic >= 128); }
+static __device__ int to_bytes(int dynamic) {
+  return dynamic == kNoRay ? dynamic : dynamic + (dynamic >= 128);
+}
 
 // Refined masks in the cameras' own pixels. Blocks of 256 pixels of camera blockIdx.y.
-//   dynamic [K, H, W] in 254ths; masks, sizes as above; starts int64 [K]: where the camera's pixels start in `out`
-//   map_starts int64 [K]: the same in whole [.., 2], fraction and unreached, -1 if its image is the view already
+//   dynamic [K, H, W] in 254ths; masks, sizes as above; starts int64 [K]: where the camera's pixels start in
+//   `out` map_starts int64 [K]: the same in whole [.., 2], fraction and unreached, -1 if its image is the
+//   view already
 extern "C" __global__ void __launch_bounds__(256)
-    to_input(const uint8_t* __restrict__ dynamic, const uint64_t* __restrict__ masks, const int32_t* __restrict__ sizes,
-             const int64_t* __restrict__ starts, const int64_t* __restrict__ map_starts,
-             const short2* __restrict__ whole, const uint16_t* __restrict__ fraction,
-             const uint8_t* __restrict__ unreached, int height, int width, uint8_t* __restrict__ out) {
+    to_input(const uint8_t* __restrict__ dynamic, const uint64_t* __restrict__ masks,
+             const int32_t* __restrict__ sizes, const int64_t* __restrict__ starts,
+             const int64_t* __restrict__ map_starts, const short2* __restrict__ whole,
+             const uint16_t* __restrict__ fraction, const uint8_t* __restrict__ unreached, int height,
+             int width, uint8_t* __restrict__ out) {
   const int i = blockIdx.x * 256 + threadIdx.x, k = blockIdx.y;
   if (i >= sizes[2 * k] * sizes[2 * k + 1]) return;
   const uint8_t* view = dynamic + static_cast<size_t>(k) * height * width;

@@ -1,4 +1,5 @@
-// Stage "refocus": the mean of the static rays' colours, the flagged guess where there are none, and the 3x3 median.
+// Stage "refocus": the mean of the static rays' colours, the flagged guess where there are none, and the 3x3
+// median.
 #include "device.h"
 
 using namespace seepast;
@@ -6,13 +7,14 @@ using namespace seepast;
 constexpr int kMostChannels = 4;
 
 // Adds image [H, W, channels] at (x + dx, y + dy), bilinear, edges continued.
-static __device__ void add_bilinear(const uint8_t* image, int height, int width, int channels, int x, int y, float dx,
-                                    float dy, float* total) {
+static __device__ void add_bilinear(const uint8_t* image, int height, int width, int channels, int x, int y,
+                                    float dx, float dy, float* total) {
   const int left = floor_int(dx), top = floor_int(dy);
   const float fx = dx - static_cast<float>(left), fy = dy - static_cast<float>(top);
   const int x0 = clamp(x + left, 0, width - 1), x1 = clamp(x + left + 1, 0, width - 1);
   const uint8_t* upper_row = image + static_cast<size_t>(clamp(y + top, 0, height - 1)) * width * channels;
-  const uint8_t* lower_row = image + static_cast<size_t>(clamp(y + top + 1, 0, height - 1)) * width * channels;
+  const uint8_t* lower_row =
+      image + static_cast<size_t>(clamp(y + top + 1, 0, height - 1)) * width * channels;
 #pragma unroll
   for (int c = 0; c < kMostChannels; ++c) {
     if (c >= channels) break;
@@ -23,11 +25,13 @@ static __device__ void add_bilinear(const uint8_t* image, int height, int width,
   }
 }
 
-// Blocks of 32 x 8. colour [K, H, W, channels]; labels uint16, d, keep [H, W]. background [H, W, channels]; coverage [H, W].
+// Blocks of 32 x 8. colour [K, H, W, channels]; labels uint16, d, keep [H, W]. background [H, W, channels];
+// coverage [H, W].
 extern "C" __global__ void __launch_bounds__(256)
-    refocus(const uint8_t* __restrict__ colour, const uint16_t* __restrict__ labels, const float* __restrict__ offsets,
-            int height, int width, int channels, int reference, float cx, float cy, const float* __restrict__ d,
-            const uint8_t* __restrict__ keep, uint8_t* __restrict__ background, uint8_t* __restrict__ coverage) {
+    refocus(const uint8_t* __restrict__ colour, const uint16_t* __restrict__ labels,
+            const float* __restrict__ offsets, int height, int width, int channels, int reference, float cx,
+            float cy, const float* __restrict__ d, const uint8_t* __restrict__ keep,
+            uint8_t* __restrict__ background, uint8_t* __restrict__ coverage) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t pixels = static_cast<size_t>(height) * width, at = static_cast<size_t>(y) * width + x;
@@ -49,11 +53,13 @@ extern "C" __global__ void __launch_bounds__(256)
 #pragma unroll
   for (int c = 0; c < kMostChannels; ++c)
     if (c < channels)
-      background[at * channels + c] = static_cast<uint8_t>(floorf(total[c] / static_cast<float>(n > 1 ? n : 1) + 0.5f));
+      background[at * channels + c] =
+          static_cast<uint8_t>(floorf(total[c] / static_cast<float>(n > 1 ? n : 1) + 0.5f));
 }
 
 // How far the nearest pixel with coverage is in direction (step_x, step_y); 0 = none.
-static __device__ int nearest_seen(const uint8_t* coverage, int height, int width, int x, int y, int step_x, int step_y) {
+static __device__ int nearest_seen(const uint8_t* coverage, int height, int width, int x, int y, int step_x,
+                                   int step_y) {
   for (int far = 1;; ++far) {
     x += step_x, y += step_y;
     if (x < 0 || x >= width || y < 0 || y >= height) return 0;
@@ -63,8 +69,8 @@ static __device__ int nearest_seen(const uint8_t* coverage, int height, int widt
 
 // In place: pixels of coverage 0 from the nearest seen ones of the four directions. Blocks of 32 x 8.
 extern "C" __global__ void __launch_bounds__(256)
-    fill_unseen(const uint8_t* __restrict__ coverage, const float* __restrict__ d, int height, int width, int channels,
-                float nearer, float foreground_weight, uint8_t* __restrict__ background) {
+    fill_unseen(const uint8_t* __restrict__ coverage, const float* __restrict__ d, int height, int width,
+                int channels, float nearer, float foreground_weight, uint8_t* __restrict__ background) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t at = static_cast<size_t>(y) * width + x;
@@ -100,7 +106,8 @@ static __device__ __forceinline__ void sort_three(int& a, int& b, int& c) {
   sort_two(a, b);
 }
 
-// Of nine: the middle one of the largest least, the middle middle and the least largest of three sorted columns.
+// Of nine: the middle one of the largest least, the middle middle and the least largest of three sorted
+// columns.
 static __device__ int median9(int (&v)[9]) {
   for (int j = 0; j < 3; ++j) sort_three(v[j], v[3 + j], v[6 + j]);
   int low = max(v[0], max(v[1], v[2])), high = min(v[6], min(v[7], v[8]));
@@ -111,8 +118,8 @@ static __device__ int median9(int (&v)[9]) {
 
 // 3x3 medians of every channel, edges continued, but where `keep`. Blocks of 32 x 8.
 extern "C" __global__ void __launch_bounds__(256)
-    median3(const uint8_t* __restrict__ image, const uint8_t* __restrict__ keep, int height, int width, int channels,
-            uint8_t* __restrict__ out) {
+    median3(const uint8_t* __restrict__ image, const uint8_t* __restrict__ keep, int height, int width,
+            int channels, uint8_t* __restrict__ out) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t at = (static_cast<size_t>(y) * width + x) * channels;
@@ -126,7 +133,9 @@ extern "C" __global__ void __launch_bounds__(256)
 #pragma unroll
     for (int i = 0; i < 9; ++i)
       v[i] = image[(static_cast<size_t>(clamp(y + i / 3 - 1, 0, height - 1)) * width +
-                    clamp(x + i % 3 - 1, 0, width - 1)) * channels + c];
+                    clamp(x + i % 3 - 1, 0, width - 1)) *
+                       channels +
+                   c];
     out[at + c] = static_cast<uint8_t>(median9(v));
   }
 }

@@ -1,8 +1,10 @@
-// Stage "segmentation", the E-step: argmin over the 2^K label sets S of beta Var_S - sum_k log p(S^k | S_P^k).
+// Stage "segmentation", the E-step: argmin over the 2^K label sets S of beta Var_S - sum_k log p(S^k |
+// S_P^k).
 //
-// As in cpp/segmentation.cpp: the set S_0 of every ray's cheaper label has the least prior cost, so a ray whose dearer
-// label costs more than S_0's whole data term never flips. Kernel `segmentation` settles the pixels where none can, most
-// of them, with one thread each; the few others go on a list, and `flips` gives a warp to each.
+// As in cpp/segmentation.cpp: the set S_0 of every ray's cheaper label has the least prior cost, so a ray
+// whose dearer label costs more than S_0's whole data term never flips. Kernel `segmentation` settles the
+// pixels where none can, most of them, with one thread each; the few others go on a list, and `flips` gives a
+// warp to each.
 #include "rays.h"
 
 using namespace seepast;
@@ -16,8 +18,8 @@ struct Camera {
 };
 
 // Where camera k is looked at, and its prior there.
-static __device__ Camera camera_of(const float* offset, float cx, float cy, const uint8_t* dynamic, int height, int width,
-                                   int x, int y, float d) {
+static __device__ Camera camera_of(const float* offset, float cx, float cy, const uint8_t* dynamic,
+                                   int height, int width, int x, int y, float d) {
   Camera c;
   c.at = quarter_position(offset, cx, cy, x, y, d);
   c.p = kNoRay;
@@ -28,7 +30,8 @@ static __device__ Camera camera_of(const float* offset, float cx, float cy, cons
   return c;
 }
 
-// 1024ths of a nat; `spread` = n sum f^2 - (sum f)^2 of a set of n rays. In the order of cpp/segmentation.cpp.
+// 1024ths of a nat; `spread` = n sum f^2 - (sum f)^2 of a set of n rays. In the order of
+// cpp/segmentation.cpp.
 static __device__ double data_energy(double beta, double lone_variance, int spread, int n) {
   const double variance = n > 1 ? spread * (1.0 / (n * n)) : lone_variance;
   return beta * variance;
@@ -37,14 +40,15 @@ static __device__ double data_energy(double beta, double lone_variance, int spre
 // One thread per pixel, blocks of 32 x 8.
 //   descriptors [K, H, W] of 16 bytes; dynamic [K, H, W]; offsets [K, kOffsets]; d, wanted [H, W]
 //   costs int32 [2, 255]: of calling a ray dynamic, static
-// labels uint16 [H, W], posterior uint8 [K, H, W]; hard int32 [H W], the pixels for `flips`, as many as `hard_count`
-// says, which is zero before.
+// labels uint16 [H, W], posterior uint8 [K, H, W]; hard int32 [H W], the pixels for `flips`, as many as
+// `hard_count` says, which is zero before.
 extern "C" __global__ void __launch_bounds__(256)
     segmentation(const uint4* __restrict__ descriptors, const uint8_t* __restrict__ dynamic,
                  const float* __restrict__ offsets, int cameras, int height, int width, float cx, float cy,
-                 const float* __restrict__ d, const uint8_t* __restrict__ wanted, double beta, double lone_variance,
-                 const int32_t* __restrict__ costs, uint16_t* __restrict__ labels, uint8_t* __restrict__ posterior,
-                 int32_t* __restrict__ hard, int32_t* __restrict__ hard_count) {
+                 const float* __restrict__ d, const uint8_t* __restrict__ wanted, double beta,
+                 double lone_variance, const int32_t* __restrict__ costs, uint16_t* __restrict__ labels,
+                 uint8_t* __restrict__ posterior, int32_t* __restrict__ hard,
+                 int32_t* __restrict__ hard_count) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t pixels = static_cast<size_t>(height) * width;
@@ -58,7 +62,8 @@ extern "C" __global__ void __launch_bounds__(256)
   int set = 0, least = 0x7fffffff;  // what the cheapest other label costs on top
   bool sides_differ = false;        // of the label and its prior
   for (int k = 0; k < cameras; ++k) {
-    const Camera c = camera_of(offsets + kOffsets * k, cx, cy, dynamic + k * pixels, height, width, x, y, d[at]);
+    const Camera c =
+        camera_of(offsets + kOffsets * k, cx, cy, dynamic + k * pixels, height, width, x, y, d[at]);
     if (c.p == kNoRay) continue;
     const int dearer = costs[c.p] - costs[255 + c.p];
     const bool is_static = dearer > 0;
@@ -91,13 +96,15 @@ static __device__ int spread_to(const Rays& rays, uint32_t set, int k) {
 
 static __device__ int spread_of(const Rays& rays, uint32_t set) {
   int sum = 0;
-  for (uint32_t rest = set; rest; rest &= rest - 1) sum += spread_to(rays, rest & (rest - 1), lowest_bit(rest));
+  for (uint32_t rest = set; rest; rest &= rest - 1)
+    sum += spread_to(rays, rest & (rest - 1), lowest_bit(rest));
   return sum;
 }
 
 static __device__ int prior_of(const Rays& rays, uint32_t exist, uint32_t set) {
   int sum = 0;
-  for (uint32_t rest = exist; rest; rest &= rest - 1) sum += rays.cost[set >> lowest_bit(rest) & 1][lowest_bit(rest)];
+  for (uint32_t rest = exist; rest; rest &= rest - 1)
+    sum += rays.cost[set >> lowest_bit(rest) & 1][lowest_bit(rest)];
   return sum;
 }
 
@@ -110,7 +117,8 @@ struct Energy {
   }
 };
 
-static __device__ Energy energy_of(const Rays& rays, uint32_t exist, uint32_t set, double beta, double lone_variance) {
+static __device__ Energy energy_of(const Rays& rays, uint32_t exist, uint32_t set, double beta,
+                                   double lone_variance) {
   return {data_energy(beta, lone_variance, spread_of(rays, set), __popc(set)) +
               static_cast<double>(prior_of(rays, exist, set)),
           set};
@@ -123,10 +131,10 @@ static __device__ uint32_t with_flips(uint32_t set, uint32_t flips, uint32_t num
   return set;
 }
 
-// The best of `start` with any of `flips` flipped. A lane takes its number for five of the flips, the last, and goes
-// through the others in Gray-code order, one ray at a time.
-static __device__ uint32_t best_set(const Rays& rays, uint32_t exist, uint32_t start, uint32_t flips, double beta,
-                                    double lone_variance) {
+// The best of `start` with any of `flips` flipped. A lane takes its number for five of the flips, the last,
+// and goes through the others in Gray-code order, one ray at a time.
+static __device__ uint32_t best_set(const Rays& rays, uint32_t exist, uint32_t start, uint32_t flips,
+                                    double beta, double lone_variance) {
   const int m = __popc(flips), own = max(0, m - 5);  // flips that a lane goes through itself
   uint32_t mine = 0, lanes = flips;
   for (int j = 0; j < own; ++j) mine |= lanes & (0 - lanes), lanes &= lanes - 1;
@@ -143,20 +151,23 @@ static __device__ uint32_t best_set(const Rays& rays, uint32_t exist, uint32_t s
     const int change = spread_to(rays, set & ~bit, k), dearer = rays.cost[0][k] - rays.cost[1][k];
     spread += leaves ? -change : change;
     prior += leaves ? dearer : -dearer;
-    const Energy energy{data_energy(beta, lone_variance, spread, __popc(set)) + static_cast<double>(prior), set};
+    const Energy energy{data_energy(beta, lone_variance, spread, __popc(set)) + static_cast<double>(prior),
+                        set};
     if (energy.beats(best)) best = energy;
   }
   for (int step = 16; step > 0; step /= 2) {
-    const Energy other{__shfl_xor_sync(kAllLanes, best.value, step), __shfl_xor_sync(kAllLanes, best.set, step)};
+    const Energy other{__shfl_xor_sync(kAllLanes, best.value, step),
+                       __shfl_xor_sync(kAllLanes, best.set, step)};
     if (other.beats(best)) best = other;
   }
   return best.set;
 }
 
-// Fills `rays` with those of a pixel, one per lane, then the squared distances of all pairs. Returns which exist.
-static __device__ uint32_t gather(const uint4* descriptors, const uint8_t* dynamic, const float* offsets, int cameras,
-                                  int height, int width, float cx, float cy, int x, int y, float d,
-                                  const int32_t* costs, Rays& rays) {
+// Fills `rays` with those of a pixel, one per lane, then the squared distances of all pairs. Returns which
+// exist.
+static __device__ uint32_t gather(const uint4* descriptors, const uint8_t* dynamic, const float* offsets,
+                                  int cameras, int height, int width, float cx, float cy, int x, int y,
+                                  float d, const int32_t* costs, Rays& rays) {
   const int k = threadIdx.x;
   const size_t pixels = static_cast<size_t>(height) * width;
   bool exists = false;
@@ -187,22 +198,23 @@ static __device__ uint32_t gather(const uint4* descriptors, const uint8_t* dynam
   return exist;
 }
 
-// One warp per pixel of `hard` of kernel `segmentation`, blocks of 32 x 4 threads, as many as there are. table: the
-// posterior by 1 / scale of energy, [2 reach + 1]. The rest as there.
+// One warp per pixel of `hard` of kernel `segmentation`, blocks of 32 x 4 threads, as many as there are.
+// table: the posterior by 1 / scale of energy, [2 reach + 1]. The rest as there.
 extern "C" __global__ void __launch_bounds__(32 * kWarps)
     flips(const uint4* __restrict__ descriptors, const uint8_t* __restrict__ dynamic,
           const float* __restrict__ offsets, int cameras, int height, int width, float cx, float cy,
           const float* __restrict__ d, double beta, double lone_variance, const int32_t* __restrict__ costs,
           const uint8_t* __restrict__ table, int reach, double scale, const int32_t* __restrict__ hard,
-          const int32_t* __restrict__ hard_count, uint16_t* __restrict__ labels, uint8_t* __restrict__ posterior) {
+          const int32_t* __restrict__ hard_count, uint16_t* __restrict__ labels,
+          uint8_t* __restrict__ posterior) {
   __shared__ Rays all_rays[kWarps];
   Rays& rays = all_rays[threadIdx.y];
   const size_t pixels = static_cast<size_t>(height) * width;
   const int count = *hard_count;
   for (int n = blockIdx.x * kWarps + threadIdx.y; n < count; n += gridDim.x * kWarps) {
     const int at = hard[n], k = threadIdx.x;
-    const uint32_t exist = gather(descriptors, dynamic, offsets, cameras, height, width, cx, cy, at % width, at / width,
-                                  d[at], costs, rays);
+    const uint32_t exist = gather(descriptors, dynamic, offsets, cameras, height, width, cx, cy, at % width,
+                                  at / width, d[at], costs, rays);
     const bool mine = exist >> k & 1;
     const int dearer = mine ? rays.cost[0][k] - rays.cost[1][k] : 0;
     uint32_t set = __ballot_sync(kAllLanes, dearer > 0);

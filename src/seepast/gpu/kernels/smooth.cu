@@ -41,8 +41,8 @@ static __device__ __forceinline__ float median25(const float (*tile)[kColumns]) 
   return forget<kKept>(v, tile, kKept);
 }
 
-// out = 5x5 median of in, edges continued. On the first pass the prior mean (eighths) stands in where not wanted; on the
-// last the result is 0 there. Blocks of 32 x 8.
+// out = 5x5 median of in, edges continued. On the first pass the prior mean (eighths) stands in where not
+// wanted; on the last the result is 0 there. Blocks of 32 x 8.
 extern "C" __global__ void __launch_bounds__(kTileX* kTileY)
     smooth(const float* __restrict__ in, const int32_t* __restrict__ mean, const uint8_t* __restrict__ wanted,
            int height, int width, int is_first, int is_last, float* __restrict__ out) {
@@ -58,6 +58,6 @@ extern "C" __global__ void __launch_bounds__(kTileX* kTileY)
   const int x = left + threadIdx.x, y = top + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t at = static_cast<size_t>(y) * width + x;
-  const float median = median25(reinterpret_cast<const float(*)[kColumns]>(&tile[threadIdx.y][threadIdx.x]));
+  const float median = median25(reinterpret_cast<const float (*)[kColumns]>(&tile[threadIdx.y][threadIdx.x]));
   out[at] = is_last && !wanted[at] ? 0.0f : median;
 }

@@ -1,5 +1,5 @@
-// Stage "support": textured, unique, left-right consistent matches of grid points between neighbouring cameras, refined
-// over all static rays, in the reference. One warp per point.
+// Stage "support": textured, unique, left-right consistent matches of grid points between neighbouring
+// cameras, refined over all static rays, in the reference. One warp per point.
 #include "rays.h"
 
 using namespace seepast;
@@ -8,7 +8,7 @@ constexpr int kMargin = 5;  // reference.py SUPPORT_MARGIN
 constexpr int kNoMatch = 1 << 20;
 constexpr int kNone = 0x7fffffff;
 constexpr int kInfinity = 0x7f800000;  // bits of the float
-constexpr int kPoints = 4;  // of a block: warps
+constexpr int kPoints = 4;             // of a block: warps
 constexpr unsigned kAllLanes = 0xffffffffu;
 constexpr uint64_t kNoPoint = ~0ull;
 
@@ -66,8 +66,8 @@ static __device__ void lowest_of_warp(int& lowest, int& index) {
   for (int step = 16; step > 0; step /= 2) index = min(index, __shfl_xor_sync(kAllLanes, index, step));
 }
 
-// Index of the best candidate, or -1 if it is not sure; the same in all lanes. A lane has every 32nd candidate, so that
-// of the best and the two beside it, which do not compete with it, no two are of one lane.
+// Index of the best candidate, or -1 if it is not sure; the same in all lanes. A lane has every 32nd
+// candidate, so that of the best and the two beside it, which do not compete with it, no two are of one lane.
 static __device__ int best_match(const Search& search, Point p, int height, int width, Sureness need) {
   uint4 here[4];
   const int corner[4] = {-2 * width - 2, -2 * width + 2, 2 * width - 2, 2 * width + 2};
@@ -75,7 +75,8 @@ static __device__ int best_match(const Search& search, Point p, int height, int 
   for (int j = 0; j < 4; ++j) here[j] = own[corner[j]];
   int lowest = kNone, index = kNone, second = kNoMatch;
   for (int i = threadIdx.x; i < search.count; i += 32) {
-    const Point q = landing(search.view, search.camera, p, search.first + search.step * static_cast<float>(i));
+    const Point q =
+        landing(search.view, search.camera, p, search.first + search.step * static_cast<float>(i));
     int cost = kNoMatch;
     if (within_margin(q, width, height)) {
       const int at = q.y * width + q.x;
@@ -98,8 +99,8 @@ static __device__ int best_match(const Search& search, Point p, int height, int 
 }
 
 // Var_S of the static rays' descriptors at one disparity; infinite with fewer than two.
-static __device__ float ray_variance(const View& view, const uint4* descriptors, const uint8_t* clear, int cameras,
-                                     int height, int width, Point p, float d) {
+static __device__ float ray_variance(const View& view, const uint4* descriptors, const uint8_t* clear,
+                                     int cameras, int height, int width, Point p, float d) {
   const size_t pixels = static_cast<size_t>(height) * width;
   Spread spread;
   for (int k = 0; k < cameras; ++k) {
@@ -114,7 +115,8 @@ static __device__ float ray_variance(const View& view, const uint4* descriptors,
   return static_cast<float>(spread.of_pairs()) * (inverse * inverse);
 }
 
-// A point's bits: variances are not negative, so that their bits are ordered as they are; then the order of finding.
+// A point's bits: variances are not negative, so that their bits are ordered as they are; then the order of
+// finding.
 static __device__ uint64_t rank(float variance, unsigned order) {
   return static_cast<uint64_t>(__float_as_uint(variance)) << 32 | order;
 }
@@ -122,17 +124,19 @@ static __device__ uint64_t rank(float variance, unsigned order) {
 // Blocks of 32 x 4 threads: four grid points in a row of camera blockIdx.z.
 //   descriptors [K, H, W] of 16 bytes; clear, is_static [K, H, W]; near [H, W], or anything if not use_near
 //   offsets [K, K, 5] and centers [K, 2]: the array as seen from every camera
-//   pairs int32 [K, 4]: the neighbour, candidates there and back, steps of refinement either way; spacing [K, 2] px of
-//   the candidates there and back; disparities are (first + i * step) / 8, i < count
-// Out: found [K, rows, columns] of (x, y, d, -) in the reference, where there is a point, and per bin of `grid` px of
-// the reference the least rank of its points, bins [rows, columns], which the caller fills with ones.
+//   pairs int32 [K, 4]: the neighbour, candidates there and back, steps of refinement either way; spacing [K,
+//   2] px of the candidates there and back; disparities are (first + i * step) / 8, i < count
+// Out: found [K, rows, columns] of (x, y, d, -) in the reference, where there is a point, and per bin of
+// `grid` px of the reference the least rank of its points, bins [rows, columns], which the caller fills with
+// ones.
 extern "C" __global__ void __launch_bounds__(32 * kPoints)
     support(const uint4* __restrict__ descriptors, const uint8_t* __restrict__ clear,
             const uint8_t* __restrict__ is_static, const uint8_t* __restrict__ near, int use_near,
-            const float* __restrict__ offsets, const float* __restrict__ centers, const int32_t* __restrict__ pairs,
-            const float* __restrict__ spacing, int cameras, int height, int width, int reference, int grid, int rows,
-            int columns, int texture_needed, int left_right, float uniqueness, float max_cost, int first, int step,
-            int count, float4* __restrict__ found, unsigned long long* __restrict__ bins) {
+            const float* __restrict__ offsets, const float* __restrict__ centers,
+            const int32_t* __restrict__ pairs, const float* __restrict__ spacing, int cameras, int height,
+            int width, int reference, int grid, int rows, int columns, int texture_needed, int left_right,
+            float uniqueness, float max_cost, int first, int step, int count, float4* __restrict__ found,
+            unsigned long long* __restrict__ bins) {
   const int base = blockIdx.z, i = blockIdx.x * kPoints + threadIdx.y, j = blockIdx.y;
   const Point p{i * grid, j * grid};
   if (i >= columns || !within_margin(p, width, height)) return;
@@ -144,22 +148,27 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
   const float farthest = static_cast<float>(first) / 8.0f;
   const Sureness need{uniqueness, max_cost};
   const View view{offsets + base * cameras * kOffsets, centers[2 * base], centers[2 * base + 1]};
-  const View back_view{offsets + partner * cameras * kOffsets, centers[2 * partner], centers[2 * partner + 1]};
+  const View back_view{offsets + partner * cameras * kOffsets, centers[2 * partner],
+                       centers[2 * partner + 1]};
   const uint4* theirs = descriptors + partner * pixels;
 
-  const Search forth{view, partner, pairs[4 * base + 1], farthest, spacing[2 * base], own, theirs, clear + partner * pixels};
+  const Search forth{view, partner, pairs[4 * base + 1],     farthest, spacing[2 * base],
+                     own,  theirs,  clear + partner * pixels};
   const int there = best_match(forth, p, height, width, need);
   if (there < 0) return;
   const float matched = farthest + forth.step * static_cast<float>(there);
   const Point q = landing(view, partner, p, matched);
-  const Search back{back_view, base, pairs[4 * base + 2], farthest, spacing[2 * base + 1], theirs, own, clear + base * pixels};
+  const Search back{back_view, base, pairs[4 * base + 2],  farthest, spacing[2 * base + 1],
+                    theirs,    own,  clear + base * pixels};
   const int again = best_match(back, q, height, width, need);
   if (again < 0) return;
   const Point home = landing(back_view, base, q, farthest + back.step * static_cast<float>(again));
   if (abs(home.x - p.x) > left_right) return;
 
-  // the candidate of the grid near that which has the least variance over all static rays, the farthest of equals
-  const int nearest = floor_int((matched * 8.0f - static_cast<float>(first)) / static_cast<float>(step) + 0.5f);
+  // the candidate of the grid near that which has the least variance over all static rays, the farthest of
+  // equals
+  const int nearest =
+      floor_int((matched * 8.0f - static_cast<float>(first)) / static_cast<float>(step) + 0.5f);
   const int last = min(count - 1, nearest + refinements);
   int best = kNone, lowest = kInfinity;
   for (int c = max(0, nearest - refinements) + static_cast<int>(threadIdx.x); c <= last; c += 32) {
@@ -175,7 +184,8 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
   if (base != reference) {  // only where the reference is blind
     in_reference = landing(view, reference, p, d);
     d = d / (1.0f - d * view.offsets[kOffsets * reference + 2]);
-    if (in_reference.x < 0 || in_reference.x >= width || in_reference.y < 0 || in_reference.y >= height) return;
+    if (in_reference.x < 0 || in_reference.x >= width || in_reference.y < 0 || in_reference.y >= height)
+      return;
     const size_t to = static_cast<size_t>(in_reference.y) * width + in_reference.x;
     if (is_static[reference * pixels + to]) return;
   }
@@ -185,11 +195,11 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
             static_cast<unsigned long long>(rank(__int_as_float(lowest), order)));
 }
 
-// Drops points that too few of the bins within `reach` agree with: kept [rows, columns, 3] of (x, y, d), x < 0 where
-// there is none. Blocks of 32 x 8.
+// Drops points that too few of the bins within `reach` agree with: kept [rows, columns, 3] of (x, y, d), x <
+// 0 where there is none. Blocks of 32 x 8.
 extern "C" __global__ void __launch_bounds__(256)
-    consistent(const float4* __restrict__ found, const unsigned long long* __restrict__ bins, int rows, int columns,
-               int reach, float similar, int min_agreeing, float* __restrict__ kept) {
+    consistent(const float4* __restrict__ found, const unsigned long long* __restrict__ bins, int rows,
+               int columns, int reach, float similar, int min_agreeing, float* __restrict__ kept) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= columns || y >= rows) return;
   const int bin = y * columns + x;
