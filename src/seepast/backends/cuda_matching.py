@@ -41,7 +41,7 @@ class Features:
     """Every view at its four quarter-pixel phases: gpu/kernels/matching.h.
 
     samples  uint32 [K, 4, H, W, 2]: census; colour and flags
-    valid    uint32 [K, 2, H, W]: static neighbours at whole and at fractional positions
+    valid    uint32 [K, 4, H, W]: static neighbours
     """
 
     samples: Any
@@ -77,7 +77,7 @@ def _int(n: float) -> np.int32:
 def describe(colour: Any, static: Any) -> Features:
     here, (K, height, width) = device.current(), static.shape
     samples = here.xp.empty((K, 4, height, width, 2), np.uint32)
-    valid = here.xp.empty((K, 2, height, width), np.uint32)
+    valid = here.xp.empty((K, 4, height, width), np.uint32)
     weights = tables.constant(np.concatenate([CUBIC.ravel(), LUMA]))
     args = [colour, static, _int(height), _int(width), weights, samples, valid]
     here.launch("census", "census", grid=_tiles((height, width), K), block=TILE, args=args)
@@ -151,12 +151,12 @@ def volumes(
         return out
     grid = candidates[0].grid
     offsets, centres, which = _geometry(here, tuple(views))
-    shifts = here.xp.empty((n, grid.count, K, 8), np.float32)
-    numbers = (grid.first, grid.step, grid.count, K, n)
+    shifts = here.xp.empty((n * grid.count * K + 16, 8), np.float32)  # 16: that may be read, but do not count
+    numbers = (grid.first, grid.step, grid.count, K, n, height)
     blocks = -(-n * grid.count * K // 256)
-    args = [offsets, *map(_int, numbers), shifts]
+    args = [offsets, which, *map(_int, numbers), shifts]
     here.launch("volume", "volume_shifts", grid=(blocks,), block=(256,), args=args)
-    slices = max(1, min(4, ENOUGH_THREADS // (n * height * width)))
+    slices = next(s for s in (1, 2, 4) if s == 4 or s * n * height * width >= ENOUGH_THREADS)
     at = tables.addresses([(c.active, c.start, o) for c, o in zip(candidates, out, strict=True)])
     scale = tables.constant(costs.census_scale)
     params = (costs.few, costs.colour_cap, costs.lone, costs.unseen)
@@ -249,7 +249,7 @@ def _choose(
         "aggregate", f"paths_in_{kind}", grid=(-(-max(height, width) // lines), paths, n), block=(32 * lines,),
         args=[addresses, *map(_int, (height, width, grid.count)), np.int64(rows), _int(penalties.small), large,
               _int(penalties.dynamic), ways],
-        shared=2 * 2 * lines * (grid.count + 2),
+        shared=4 * 2 * lines * (grid.count + 2),
     )  # fmt: skip
     here.launch(
         "aggregate", f"winners_of_{kind}", grid=(-(-height * width // 256), n), block=(256,),

@@ -10,8 +10,7 @@
 using namespace seepast;
 
 constexpr unsigned kAll = 0xffffffffu;
-constexpr int kLines = 4;        // warps of a block of paths
-constexpr int kBeyond = 0x3fff;  // cost of a candidate that a pixel is not matched at: more than any path's
+constexpr int kLines = 4;  // warps of a block of paths
 
 // One view: device addresses, as the host tables them.
 struct View {
@@ -60,135 +59,170 @@ __device__ inline Line line_of(int path, int number, int height, int width) {
   return {number, number, dx, dy, height, width};
 }
 
-// What a path needs to know of a pixel. Lanes look 32 pixels up at a time.
-struct Place {
-  uint64_t active;
-  int start;
-  int large;  // P2 from the pixel before; -1 where a path begins
-};
-
 __device__ inline int difference(const uint8_t* a, const uint8_t* b, int channel) {
   const int d = static_cast<int>(a[channel]) - b[channel];
   return d < 0 ? -d : d;
 }
 
+// P2 on the way into the line's pixel t; -1 where a path begins.
+__device__ inline int large_at(const View& v, const Line& line, int t, int p,
+                               const uint16_t* __restrict__ large, int dynamic) {
+  if (line.begins(t)) return -1;
+  const int q = p - line.dy * line.width - line.dx;
+  if (!v.active[q]) return -1;
+  if (!v.is_static[p] || !v.is_static[q]) return dynamic;
+  const uint8_t *a = v.image + 3 * p, *b = v.image + 3 * q;
+  return large[difference(a, b, 0) + difference(a, b, 1) + difference(a, b, 2)];
+}
+
+// Position of the lowest bit, 63 if there is none.
+__device__ inline int lowest_bit(uint64_t bits) { return (__ffsll(static_cast<long long>(bits)) - 1) & 63; }
+
+// What a path needs to know of a pixel, in few words. Lanes look 32 pixels up at a time.
+struct Place {
+  uint32_t word;
+  int start;
+  uint64_t active;
+
+  // Bits 0..5, 6..11: the two lowest chunks; 12..18: how many there are; 19: they follow each other; 20..31:
+  // P2 + 1.
+  __device__ static Place of(uint64_t active, int start, int large) {
+    const uint64_t others = active & (active - 1), run = active >> lowest_bit(active);
+    const unsigned in_a_row = (run & (run + 1)) == 0;
+    return {static_cast<uint32_t>(lowest_bit(active) | lowest_bit(others) << 6 | __popcll(active) << 12 |
+                                  in_a_row << 19 | static_cast<unsigned>(large + 1) << 20),
+            start, active};
+  }
+};
+
+__device__ inline int chunks_of(uint32_t word) { return word >> 12 & 127; }
+__device__ inline bool in_a_row(uint32_t word) { return word >> 19 & 1; }
+__device__ inline int large_of(uint32_t word) { return static_cast<int>(word >> 20) - 1; }
+
 __device__ inline Place place_at(const View& v, const Line& line, int t, const uint16_t* __restrict__ large,
                                  int dynamic) {
-  if (t >= line.steps()) return {0, 0, -1};
-  const int x = line.column(t), y = line.row(t), p = y * line.width + x;
-  Place found{v.active[p], v.start[p], -1};
-  if (line.begins(t)) return found;
-  const int q = p - line.dy * line.width - line.dx;
-  const uint8_t *a = v.image + 3 * p, *b = v.image + 3 * q;
-  const int step = difference(a, b, 0) + difference(a, b, 1) + difference(a, b, 2);
-  found.large = v.is_static[p] && v.is_static[q] ? large[step] : dynamic;
-  return found;
+  if (t >= line.steps()) return Place::of(0, 0, -1);
+  const int p = line.row(t) * line.width + line.column(t);
+  return Place::of(v.active[p], v.start[p], large_at(v, line, t, p, large, dynamic));
 }
 
-__device__ inline Place from_lane(const Place& mine, int lane) {
-  const uint64_t both = static_cast<uint64_t>(mine.start) << 32 | static_cast<uint32_t>(mine.large);
-  const uint64_t found = __shfl_sync(kAll, both, lane);
-  return {__shfl_sync(kAll, mine.active, lane), static_cast<int>(found >> 32), static_cast<int>(found)};
-}
-
-__device__ inline int lowest_of_warp(int value) {
+__device__ inline unsigned lowest_of_warp(unsigned value) {
 #if !defined(__CUDA_ARCH__) || __CUDA_ARCH__ >= 800
-  return static_cast<int>(__reduce_min_sync(kAll, static_cast<unsigned>(value)));
+  return __reduce_min_sync(kAll, value);
 #else
   for (int step = 16; step > 0; step /= 2) value = min(value, __shfl_xor_sync(kAll, value, step));
   return value;
 #endif
 }
 
-// Takes the two lowest chunks out of `rest`; the lane's, -1 if there is none.
-__device__ inline int next_chunk(uint64_t& rest, int lane) {
-  const int first = __ffsll(static_cast<long long>(rest)) - 1;
+// Takes the two lowest chunks out of `rest`; the lane's.
+__device__ inline int next_chunk(uint64_t& rest, int half) {
+  const int first = lowest_bit(rest);
   rest &= rest - 1;
-  const int second = __ffsll(static_cast<long long>(rest)) - 1;
+  const int second = lowest_bit(rest);
   rest &= rest - 1;
-  return lane < kChunk ? first : second;
+  return half ? second : first;
 }
 
-// Bits 0..2: chunks c - 1, c, c + 1 were active.
-__device__ inline unsigned around(uint64_t active, int c) {
-  return static_cast<unsigned>(c > 0 ? active >> (c - 1) : active << 1) & 7;
-}
+// A path's costs at the pixel before and at this one lie in shared memory, entry d + 1 for candidate d, below
+// a mark that falls from pixel to pixel: so what was left there by earlier ones is above all that counts, and
+// loses every comparison.
+constexpr unsigned kMark = 1u << 16, kUnwritten = 0xffffu * kMark;
 
-// L(p, d) - C(p, d) = min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q), into `ways` [paths, rows,
-// 16].
+// L(p, d) - C(p, d) = min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q) of one candidate.
+struct Step {
+  unsigned lowest, far, small, mark;
+  const uint32_t* before;
+  uint32_t* here;
+
+  // Its way; and the cost of the path.
+  __device__ unsigned to(int entry, unsigned cost, unsigned& path_cost) const {
+    const unsigned beside = min(before[entry - 1], before[entry + 1]) + small;
+    const unsigned way = min(min(before[entry], far), beside) - lowest;
+    path_cost = mark + way + cost;
+    here[entry] = path_cost;
+    return way;
+  }
+};
+
+// All pixels of a line, into `ways` [rows, 16] of the path.
 template <typename Way>
-__device__ inline void walk(const View& v, const Line& line, int small, const uint16_t* __restrict__ large,
-                            int dynamic, Way* __restrict__ ways, uint16_t* __restrict__ path_costs,
-                            int pitch) {
-  const int lane = threadIdx.x % 32, candidate = lane % kChunk, half = lane / kChunk, steps = line.steps();
-  const uint16_t* before = path_costs;  // of the pixel before; entry d + 1 is candidate d's
-  uint16_t* here = path_costs + pitch;
-  uint64_t active_before = 0;
-  int lowest = 0;
+__device__ inline void walk(const View& v, const Line& line, unsigned small,
+                            const uint16_t* __restrict__ large, int dynamic, Way* __restrict__ ways,
+                            uint32_t* __restrict__ path_costs, int pitch) {
+  const int lane = threadIdx.x % 32, half = lane / kChunk, first_entry = lane % kChunk + 1,
+            steps = line.steps();
+  const uint8_t* const costs = v.costs + lane;  // a lane's chunk is the first or the second
+  ways += lane;
+  for (int i = lane; i < 2 * pitch; i += 32) path_costs[i] = kUnwritten;
+  Step step{0, 0, small, kUnwritten, path_costs, path_costs + pitch};
   Place mine = place_at(v, line, lane, large, dynamic), later = place_at(v, line, 32 + lane, large, dynamic);
-  Place next = from_lane(mine, 0);
-  const auto first_cost = [&](const Place& p) -> int {
-    return half < __popcll(p.active) ? v.costs[kChunk * (static_cast<size_t>(p.start) + half) + candidate]
-                                     : 0;
-  };
-  int next_cost = first_cost(next);
+  uint32_t next = __shfl_sync(kAll, mine.word, 0);
+  int next_start = __shfl_sync(kAll, mine.start, 0);
+  unsigned next_cost = half < chunks_of(next) ? costs[kChunk * static_cast<int64_t>(next_start)] : 0;
+  __syncwarp();
   for (int t = 0; t < steps; ++t) {
-    const Place p = next;
-    int cost = next_cost;
+    const uint32_t place = next;
+    const int chunks = chunks_of(place);
+    const int64_t at = kChunk * static_cast<int64_t>(next_start);
+    unsigned cost = next_cost;
+    // more than two chunks are rare, but for whole ranges
+    uint64_t rest = chunks > 2 && !in_a_row(place) ? __shfl_sync(kAll, mine.active, t % 32) : 0;
     if (t % 32 == 31) mine = later, later = place_at(v, line, t + 33 + lane, large, dynamic);
-    next = from_lane(mine, (t + 1) % 32);
-    next_cost = first_cost(next);  // while this pixel is worked on
+    next = __shfl_sync(kAll, mine.word, (t + 1) % 32);
+    next_start = __shfl_sync(kAll, mine.start, (t + 1) % 32);
+    // while this pixel is worked on
+    next_cost = half < chunks_of(next) ? costs[kChunk * static_cast<int64_t>(next_start)] : 0;
 
-    const bool begins = p.large < 0 || !active_before;
-    const int base = begins ? 0 : lowest, far = lowest + p.large;
-    int least = kBeyond;
-    size_t at = kChunk * (static_cast<size_t>(p.start) + half) + candidate;
-    for (uint64_t rest = p.active; rest;) {
-      const int chunk = next_chunk(rest, lane);
-      if (chunk >= 0) {
-        int way = 0;
-        const int entry = kChunk * chunk + candidate + 1;
-        if (!begins) {
-          const unsigned was = around(active_before, chunk);
-          const int same = was & 2 ? before[entry] : kBeyond;
-          const int left = was & (candidate > 0 ? 2 : 1) ? before[entry - 1] : kBeyond;
-          const int right = was & (candidate < kChunk - 1 ? 2 : 4) ? before[entry + 1] : kBeyond;
-          way = min(min(same, far), min(left, right) + small) - base;
-        }
-        ways[at] = static_cast<Way>(way);
-        here[entry] = static_cast<uint16_t>(way + cost);
-        least = min(least, way + cost);
-      }
-      at += 2 * kChunk;
-      if (rest) cost = half == 0 || rest & (rest - 1) ? v.costs[at] : 0;
+    const int into = large_of(place);
+    if (into < 0) step.lowest = 0;
+    step.far = step.lowest + max(into, 0);
+    step.mark -= kMark;
+    unsigned least = kUnwritten, path_cost;
+    int entry = kChunk * (place >> 6 * half & 63) + first_entry;
+    if (half < chunks) {
+      ways[at] = static_cast<Way>(step.to(entry, cost, path_cost));
+      least = path_cost;
     }
-    lowest = lowest_of_warp(least);
-    active_before = p.active;
+    if (chunks > 2) {
+      rest &= rest - 1;
+      rest &= rest - 1;
+#pragma unroll 1
+      for (int done = 2; done < chunks; done += 2) {
+        entry = in_a_row(place) ? entry + 2 * kChunk : kChunk * next_chunk(rest, half) + first_entry;
+        if (done + half < chunks) {
+          const int64_t row = at + kChunk * done;
+          ways[row] = static_cast<Way>(step.to(entry, costs[row], path_cost));
+          least = min(least, path_cost);
+        }
+      }
+    }
+    step.lowest = lowest_of_warp(least);
     __syncwarp();
-    uint16_t* const swapped = here;
-    here = const_cast<uint16_t*>(before);
-    before = swapped;
+    uint32_t* const swapped = step.here;
+    step.here = const_cast<uint32_t*>(step.before);
+    step.before = swapped;
   }
 }
 
 template <typename Way>
 __device__ inline void paths_of(const uint64_t* addresses, int height, int width, int count, size_t rows,
                                 int small, const uint16_t* large, int dynamic, Way* ways,
-                                uint16_t* path_costs) {
+                                uint32_t* path_costs) {
   const int number = blockIdx.x * kLines + threadIdx.x / 32, path = blockIdx.y;
   if (number >= (path < 2 ? height : width)) return;
   const int pitch = count + 2;
   const View v = view_at(addresses, blockIdx.z);
-  walk(v, line_of(path, number, height, width), small, large, dynamic,
+  walk(v, line_of(path, number, height, width), static_cast<unsigned>(small), large, dynamic,
        ways + kChunk * (path * rows + v.first), path_costs + threadIdx.x / 32 * 2 * pitch, pitch);
 }
 
 // addresses [n, 7]: View. rows of all views together; large uint16 [766]; ways [paths, rows, 16]. Blocks of
-// 128 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 2) uint16.
+// 128 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 2) uint32.
 extern "C" __global__ void __launch_bounds__(32 * kLines)
     paths_in_bytes(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
                    int small, const uint16_t* __restrict__ large, int dynamic, uint8_t* __restrict__ ways) {
-  SEEPAST_SHARED(uint16_t, path_costs);
+  SEEPAST_SHARED(uint32_t, path_costs);
   paths_of(addresses, height, width, count, rows, small, large, dynamic, ways, path_costs);
 }
 
@@ -196,7 +230,7 @@ extern "C" __global__ void __launch_bounds__(32 * kLines)
 extern "C" __global__ void __launch_bounds__(32 * kLines)
     paths_in_words(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
                    int small, const uint16_t* __restrict__ large, int dynamic, uint16_t* __restrict__ ways) {
-  SEEPAST_SHARED(uint16_t, path_costs);
+  SEEPAST_SHARED(uint32_t, path_costs);
   paths_of(addresses, height, width, count, rows, small, large, dynamic, ways, path_costs);
 }
 

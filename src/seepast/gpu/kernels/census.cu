@@ -113,8 +113,6 @@ extern "C" __global__ void __launch_bounds__(kColumns* kRows)
     }
 
   const size_t at = static_cast<size_t>(y) * width + x;
-  valid[2 * k * pixels + at] = whole;
-  valid[(2 * k + 1) * pixels + at] = between;
   const unsigned own = tile.open[row][column];
   const unsigned flags[2] = {own & 1 ? (whole == kAllNeighbours ? kStatic | kClear : kStatic) : 0,
                              own & 2 ? (between == kAllNeighbours ? kStatic | kClear : kStatic) : 0};
@@ -124,6 +122,7 @@ extern "C" __global__ void __launch_bounds__(kColumns* kRows)
 #pragma unroll
   for (int phase = 0; phase < 4; ++phase) {
     uint2* to = reinterpret_cast<uint2*>(samples) + (4 * static_cast<size_t>(k) + phase) * pixels + at;
+    valid[(4 * static_cast<size_t>(k) + phase) * pixels + at] = phase ? between : whole;
     *to = make_uint2(darker[phase], colour_at(weights + 4 * phase, a, b, c, d) | flags[phase > 0]);
   }
 }

@@ -12,32 +12,36 @@ using namespace seepast;
 constexpr int kColumns = 32, kRows = 8;  // of a tile: one thread per pixel
 constexpr int kThreads = kColumns * kRows;
 
-// W_k at one candidate, and the camera's own shift: pixel.h RayShift in two reads.
+// W_k at one candidate (pixel.h RayShift), and the camera's first row among the samples: two reads of 16
+// bytes.
 struct __align__(16) Shift {
-  float zoom, x, y, view_x, view_y, unused[3];
+  float zoom, x, y, view_x, view_y;
+  int first, unused[2];
 };
 
-// offsets float [n, K, 5]; shifts [n, count, K]: of every view, candidate and camera.
+// offsets float [n, K, 5], which int32 [n]: the views' cameras; shifts [n, count, K]: of every view,
+// candidate and camera, the view's own last.
 extern "C" __global__ void __launch_bounds__(kThreads)
-    volume_shifts(const float* __restrict__ offsets, int first, int step, int count, int cameras, int views,
-                  float* __restrict__ shifts) {
+    volume_shifts(const float* __restrict__ offsets, const int32_t* __restrict__ which, int first, int step,
+                  int count, int cameras, int views, int height, float* __restrict__ shifts) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
   if (i >= views * count * cameras) return;
-  const int k = i % cameras, candidate = i / cameras % count, view = i / cameras / count;
+  const int place = i % cameras, candidate = i / cameras % count, view = i / cameras / count,
+            own = which[view];
+  const int k = place == cameras - 1 ? own : place < own ? place : place + 1;
   const float d =
       (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(candidate)) / 8.0f;
-  const float* offset = offsets + (view * cameras + k) * kOffsets;
-  RayShift shift = ray_shift(offset, d);
+  RayShift shift = ray_shift(offsets + (view * cameras + k) * kOffsets, d);
   const bool finite = shift.zoom > -1e30f && shift.zoom < 1e30f;
   if (!finite) shift = {0, 0, 0, -1e30f, -1e30f};  // the point lies beside the camera: no pixel sees it
-  reinterpret_cast<float4*>(shifts)[2 * i] = make_float4(shift.zoom, shift.x, shift.y, shift.view_x);
-  reinterpret_cast<float4*>(shifts)[2 * i + 1] = make_float4(shift.view_y, 0, 0, 0);
+  reinterpret_cast<Shift*>(shifts)[i] = {shift.zoom,   shift.x,        shift.y, shift.view_x,
+                                         shift.view_y, 4 * k * height, {0, 0}};
 }
 
 // What matching needs of all cameras; one view's geometry.
 struct Cameras {
   const uint2* samples;   // [K, 4, H, W]
-  const uint32_t* valid;  // [K, 2, H, W]
+  const uint32_t* valid;  // [K, 4, H, W]
   const Shift* shifts;    // [count, K] of the view
   const uint8_t* census_scale;
   int count, height, width;
@@ -45,58 +49,64 @@ struct Cameras {
   unsigned few, colour_cap;
 };
 
+// The sample at x^k, and where it is; not static where there is none.
 struct Ray {
-  uint2 sample;
-  int valid;  // index
+  unsigned census, colour;  // and flags
+  int index;
 };
 
-__device__ inline Ray no_ray() { return {make_uint2(0, 0), 0}; }
-
-// Camera k's sample at x^k.
-__device__ inline Ray ray_at(const Cameras& c, int candidate, int k, int x, int y) {
-  const Shift* shift = c.shifts + candidate * c.count + k;
-  const float4 s = *reinterpret_cast<const float4*>(shift);
-  const RayShift r{s.x, s.y, s.z, s.w, shift->view_y};
-  const int quarter = 4 * x + __float2int_rd(4.0f * ray_dx(r, x, c.cx) + 0.5f);
+// No branches, so that several rays are on their way from memory at once: where there is no sample another is
+// read.
+__device__ inline Ray ray_at(const Cameras& c, const Shift* __restrict__ shift, int x, int y, bool wanted) {
+  const float4* words = reinterpret_cast<const float4*>(shift);
+  const float4 s = words[0], more = words[1];
+  const RayShift r{s.x, s.y, s.z, s.w, more.x};
+  // times four is exact, so that this is quarter_offset
+  const int quarter = 4 * x + __float2int_rd(__fmaf_rn(4.0f, ray_dx(r, x, c.cx), 0.5f));
   const int row = y + __float2int_rd(ray_dy(r, y, c.cy) + 0.5f);
-  const int column = quarter >> 2, phase = quarter & 3;
-  if (static_cast<unsigned>(column) >= static_cast<unsigned>(c.width) ||
-      static_cast<unsigned>(row) >= static_cast<unsigned>(c.height))
-    return no_ray();
-  return {c.samples[static_cast<unsigned>(((4 * k + phase) * c.height + row) * c.width + column)],
-          ((2 * k + (phase > 0)) * c.height + row) * c.width + column};
+  const int column = quarter >> 2;
+  const bool there = static_cast<unsigned>(column) < static_cast<unsigned>(c.width) &&
+                     static_cast<unsigned>(row) < static_cast<unsigned>(c.height) && wanted;
+  const int index = there ? (__float_as_int(more.y) + (quarter & 3) * c.height + row) * c.width + column : 0;
+  const uint2 sample = c.samples[static_cast<unsigned>(index)];
+  return {sample.x, there ? sample.y : 0, index};
 }
 
-// 96 hamming / n + min(mean colour step, cap); kNoPair unless both are static.
-__device__ inline unsigned pair_cost(const Cameras& c, const Ray& a, const Ray& b) {
-  const unsigned both = a.sample.y & b.sample.y;
-  if (!(both & kStatic)) return kNoPair;
-  unsigned differing = a.sample.x ^ b.sample.x, census;
-  if (both & kClear) {
-    census = 4 * __popc(differing);
-  } else {
-    const unsigned known = c.valid[a.valid] & c.valid[b.valid];
-    const unsigned scale = c.census_scale[__popc(known)];
-    census = scale ? (__popc(differing & known) * scale + 4) >> 3 : c.few;
-  }
-  const unsigned apart = __vabsdiffu4(a.sample.y, b.sample.y);
+__device__ inline unsigned colour_cost(const Cameras& c, const Ray& a, const Ray& b) {
+  const unsigned apart = __vabsdiffu4(a.colour, b.colour);
   const unsigned blue = apart & 255, green = apart >> 8 & 255, red = apart >> 16 & 255;
   const unsigned step = (((blue + red + 1) >> 1) + green + 1) >> 1;
-  return census + min(step, c.colour_cap);
+  return min(step, c.colour_cap);
+}
+
+// 96 hamming / n of rays that are static but have neighbours that are not.
+__device__ inline unsigned unclear_census(const Cameras& c, const Ray& a, const Ray& b) {
+  const unsigned known = c.valid[a.index] & c.valid[b.index], scale = c.census_scale[__popc(known)];
+  return scale ? (__popc((a.census ^ b.census) & known) * scale + 4) >> 3 : c.few;
+}
+
+__device__ inline bool is_unclear(const Ray& a, const Ray& b) {
+  return (a.colour & b.colour & (kStatic | kClear)) == kStatic;
+}
+
+// Of two rays that are clear, or not both static.
+__device__ inline unsigned clear_cost(const Cameras& c, const Ray& a, const Ray& b) {
+  const unsigned cost = 4 * __popc(a.census ^ b.census) + colour_cost(c, a, b);
+  return a.colour & b.colour & kStatic ? cost : kNoPair;
 }
 
 // The smallest kSlots of the costs so far, in order.
 template <int kSlots>
 struct SmallerHalf {
-  unsigned least[kSlots], known;
+  unsigned least[kSlots], known;  // known: how many, times kStatic
 
   __device__ void clear() {
     known = 0;
 #pragma unroll
     for (int q = 0; q < kSlots; ++q) least[q] = kNoPair;
   }
-  __device__ void add(unsigned cost) {
-    known += cost != kNoPair;
+  __device__ void add(unsigned cost, unsigned is_static) {
+    known += is_static;
 #pragma unroll
     for (int q = 0; q < kSlots; ++q) {
       const unsigned low = min(least[q], cost);
@@ -107,7 +117,7 @@ struct SmallerHalf {
   // Their mean, rounded to the nearest; kNoPair if there is none. Division by products of 16 bits: exact up
   // to 14 costs of a byte.
   __device__ unsigned mean() const {
-    const unsigned half = (known + 1) >> 1;
+    const unsigned half = (known + kStatic) / (2 * kStatic);
     unsigned sum = (half >> 1) + least[0], share = 65536;
 #pragma unroll
     for (int q = 1; q < kSlots; ++q)
@@ -116,32 +126,59 @@ struct SmallerHalf {
   }
 };
 
+// Costs of one ray with several: 96 hamming / n + min(mean colour step, cap); kNoPair unless both are static.
+template <int kPairs, int kSlots>
+__device__ inline void add_pairs(const Cameras& c, const Ray& one, const Ray* several,
+                                 SmallerHalf<kSlots>& costs) {
+  unsigned found[kPairs];
+  bool unclear = false;
+#pragma unroll
+  for (int i = 0; i < kPairs; ++i) {
+    found[i] = clear_cost(c, one, several[i]);
+    unclear = unclear || is_unclear(one, several[i]);
+  }
+  if (unclear) {
+#pragma unroll
+    for (int i = 0; i < kPairs; ++i)
+      if (is_unclear(one, several[i]))
+        found[i] = unclear_census(c, one, several[i]) + colour_cost(c, one, several[i]);
+  }
+#pragma unroll
+  for (int i = 0; i < kPairs; ++i) costs.add(found[i], one.colour & several[i].colour & kStatic);
+}
+
 // What one candidate costs a pixel that the view sees itself: its own ray with every other.
 template <int kOthers, int kSlots>
-__device__ inline unsigned own_cost(const Cameras& c, int view, const Ray& own, int candidate, int x, int y) {
+__device__ inline unsigned own_cost(const Cameras& c, const Ray& own, const Shift* __restrict__ shifts, int x,
+                                    int y) {
+  constexpr int kAtOnce = kOthers <= 5 ? kOthers : kOthers % 5 ? 4 : 5;
   SmallerHalf<kSlots> costs;
   costs.clear();
-#pragma unroll(kOthers <= 5 ? kOthers : 4)
-  for (int i = 0; i < kOthers; ++i)
-    if (i < c.count - 1) costs.add(pair_cost(c, own, ray_at(c, candidate, i < view ? i : i + 1, x, y)));
+#pragma unroll 1
+  for (int first = 0; first < kOthers; first += kAtOnce) {
+    Ray rays[kAtOnce];
+#pragma unroll
+    for (int i = 0; i < kAtOnce; ++i) rays[i] = ray_at(c, shifts + first + i, x, y, first + i < c.count - 1);
+    add_pairs<kAtOnce>(c, own, rays, costs);
+  }
   return costs.mean();
 }
 
 // And one that it does not: all others' rays, each with the kWindow cameras before it (many.py camera_pairs).
 template <int kSlots, int kWindow>
-__device__ inline unsigned others_cost(const Cameras& c, int view, int candidate, int x, int y, bool& any) {
+__device__ inline unsigned others_cost(const Cameras& c, int view, const Shift* __restrict__ shifts, int x,
+                                       int y, bool& any) {
   SmallerHalf<kSlots> costs;
   costs.clear();
   Ray before[kWindow];
 #pragma unroll
-  for (int w = 0; w < kWindow; ++w) before[w] = no_ray();
+  for (int w = 0; w < kWindow; ++w) before[w] = {0, 0, 0};
   any = false;
 #pragma unroll 1
   for (int k = 0; k < c.count; ++k) {
-    const Ray ray = k == view ? no_ray() : ray_at(c, candidate, k, x, y);
-    any = any || ray.sample.y & kStatic;
-#pragma unroll
-    for (int w = 0; w < kWindow; ++w) costs.add(pair_cost(c, ray, before[w]));
+    const Ray ray = ray_at(c, shifts + k - (k > view), x, y, k != view);
+    any = any || ray.colour & kStatic;
+    add_pairs<kWindow>(c, ray, before, costs);
 #pragma unroll
     for (int w = kWindow - 1; w > 0; --w) before[w] = before[w - 1];
     before[0] = ray;
@@ -153,27 +190,30 @@ template <int kOthers, int kOwnSlots, int kSlots, int kWindow>
 __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addresses, int view, int slices,
                              unsigned lone, unsigned unseen) {
   const int x = blockIdx.x * kColumns + threadIdx.x, y = blockIdx.y * kRows + threadIdx.y;
-  const int slice = blockIdx.z % slices, pixel = y * c.width + x, plane = c.height * c.width;
+  const int slice = blockIdx.z & (slices - 1), pixel = y * c.width + x, plane = c.height * c.width;
   if (x >= c.width || y >= c.height) return;
   uint64_t rest = reinterpret_cast<const uint64_t*>(addresses[0])[pixel];
   if (!rest) return;
   uint4* out = reinterpret_cast<uint4*>(addresses[2]) + reinterpret_cast<const int32_t*>(addresses[1])[pixel];
-  const Ray own{c.samples[static_cast<size_t>(4 * view) * plane + pixel], 2 * view * plane + pixel};
-  const bool sees = own.sample.y & kStatic;
+  const int at = 4 * view * plane + pixel;
+  const uint2 sample = c.samples[static_cast<unsigned>(at)];
+  const Ray own{sample.x, sample.y, at};
+  const bool sees = own.colour & kStatic;
   for (int turn = 0; rest; rest &= rest - 1, ++turn) {
-    if (turn % slices != slice) continue;
-    const int first = kChunk * (__ffsll(static_cast<long long>(rest)) - 1);
+    if ((turn & (slices - 1)) != slice) continue;
+    const Shift* shifts =
+        c.shifts + static_cast<size_t>(kChunk * (__ffsll(static_cast<long long>(rest)) - 1)) * c.count;
     unsigned words[4];
 #pragma unroll 1
     for (int q = 0; q < 4; ++q) {
       unsigned word = 0;
 #pragma unroll 1
-      for (int i = 0; i < 4; ++i) {
+      for (int i = 0; i < 4; ++i, shifts += c.count) {
         bool any = true;
-        unsigned cost = sees ? own_cost<kOthers, kOwnSlots>(c, view, own, first + 4 * q + i, x, y)
-                             : others_cost<kSlots, kWindow>(c, view, first + 4 * q + i, x, y, any);
+        unsigned cost = sees ? own_cost<kOthers, kOwnSlots>(c, own, shifts, x, y)
+                             : others_cost<kSlots, kWindow>(c, view, shifts, x, y, any);
         if (cost == kNoPair) cost = any ? lone : unseen;
-        word |= cost << 8 * i;
+        word = __funnelshift_r(word, cost, 8);
       }
 #pragma unroll
       for (int to = 0; to < 4; ++to)
@@ -186,8 +226,8 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
 // What the entry points below take. samples, valid: as census leaves them, of `cameras`; addresses [n, 3] of
 // each view's active uint64 [H, W], start int32 [H W + 1] and costs uint8 [chunks, 16], which are written;
 // which int32 [n]: the view's camera; shifts [n, candidates, cameras]; centres float [n, 2]; census_scale
-// uint8 [32]. Blocks 32 x 8: tiles; z = n slices + slice: chunks slice, slice + slices, ... of every pixel of
-// view n.
+// uint8 [32]. Blocks 32 x 8: tiles; z = n slices + slice, slices 1, 2 or 4: chunks slice, slice + slices, ...
+// of every pixel of view n.
 #define SEEPAST_MATCHED                                                                                      \
   const uint2 *__restrict__ samples, const uint32_t *__restrict__ valid, int cameras, int height, int width, \
       const uint64_t *__restrict__ addresses, const int32_t *__restrict__ which,                             \
@@ -213,7 +253,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_5(SEEPAST_MATCH
   SEEPAST_MATCH(4, 2, 3, 4);
 }
 // Of 6: 5 and 10.
-extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_6(SEEPAST_MATCHED) {
+extern "C" __global__ void __launch_bounds__(kThreads, 3) volume_6(SEEPAST_MATCHED) {
   SEEPAST_MATCH(5, 3, 5, 5);
 }
 // Of 7 to 9: 8 and 13, which are never more than two cameras apart.
@@ -221,6 +261,6 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_9(SEEPAST_MATCH
   SEEPAST_MATCH(8, 4, 7, 2);
 }
 // Of 10 to 16: 15 and 27.
-extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_16(SEEPAST_MATCHED) {
+extern "C" __global__ void __launch_bounds__(kThreads, 3) volume_16(SEEPAST_MATCHED) {
   SEEPAST_MATCH(15, 8, 14, 2);
 }
