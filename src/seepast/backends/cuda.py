@@ -242,7 +242,7 @@ def disparity(
     options: Options,
 ) -> Any:
     used = device.current()
-    gradients = used.xp.empty(static.shape, np.uint32)
+    gradients = used.xp.empty(static.size + 1, np.uint32)  # the pixel right of the last one is read too
     used.launch(
         "disparity", "static_gradients", grid=(lines(static.size),), block=(LINE,),
         args=[features.gradients, static, np.int32(static.size), gradients],

@@ -12,8 +12,9 @@ constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
 constexpr int kReach = 2;                         // of the descriptor's pattern
 constexpr int kThreads = 256, kWarps = kThreads / 32;
 constexpr int kPlaceColumns = kCellColumns + 2 * kReach, kPlaceRows = kCellRows + 2 * kReach;
-constexpr int kPlaces = kPlaceColumns * kPlaceRows;
-constexpr int kPlacesEach = (kPlaces + kThreads - 1) / kThreads;
+constexpr int kGroups =
+    kThreads / kPlaceColumns;  // of threads with places of one row; four threads are left over
+constexpr int kPlacesEach = (kPlaceRows + kGroups - 1) / kGroups;
 constexpr unsigned kAllLanes = 0xffffffffu;
 constexpr uint32_t kStatic = 1u << 31;   // in a pair of gradients
 constexpr uint32_t kBoth = 0x00ff00ffu;  // du and dv in it
@@ -77,6 +78,13 @@ static __device__ const uint8_t* cell_of_block(const uint8_t* cells, int count) 
   return cells + (static_cast<size_t>(blockIdx.y) * gridDim.x + blockIdx.x) * count;
 }
 
+// Warp of camera k at candidate i: shifts [count, K, 3] are zoom and parallax of ray_shift.
+static __device__ RayShift shift_of(const float* shifts, const float* offsets, int cameras, int i, int k) {
+  const float* of_candidate = shifts + (i * cameras + k) * 3;
+  const float* of_camera = offsets + kOffsets * k;
+  return {of_candidate[0], of_candidate[1], of_candidate[2], of_camera[3], of_camera[4]};
+}
+
 // Gradients as matching reads them, uint32 [K, H, W] and one more: (du + 128) | (dv + 128) << 16 | kStatic,
 // or 0 where not static. gradients [K, H, W] of two signed bytes. One thread per pixel.
 extern "C" __global__ void __launch_bounds__(kThreads)
@@ -88,17 +96,30 @@ extern "C" __global__ void __launch_bounds__(kThreads)
   out[i] = is_static[i] ? (g.x ^ 128u) | (g.y ^ 128u) << 16 | kStatic : 0;
 }
 
+// Where the rays of a column of places end in one camera: left of two pixels, the weight of the right one.
+struct Column {
+  int left;
+  uint32_t phase, without_right;  // all ones where the right pixel does not count
+  bool inside;
+
+  __device__ Column(int xq, int width) : left(xq >> 2), phase(xq & 3), without_right(xq & 3 ? 0 : ~0u) {
+    inside = xq >= 0 && left + (phase > 0) < width;
+  }
+};
+
 // Rays of one place added up: n, the sums of du and dv in 16 bits each, the sums of their squares. The bias
 // of 128 leaves variances as they are.
 struct Sums {
   uint32_t n = 0, both = 0, du = 0, dv = 0;
 
-  __device__ void add(uint32_t left, uint32_t right, uint32_t phase) {
-    const uint32_t known = (left & right) >> 31;
-    uint32_t f = (((left & kBoth) * (4 - phase) + (right & kBoth) * phase + 0x00020002u) >> 2) & kBoth;
-    f = known ? f : 0;
+  __device__ void add(uint32_t left, uint32_t right, const Column& column, bool exists) {
+    const uint32_t labels = left & (right | column.without_right);
+    const uint32_t known = exists ? static_cast<uint32_t>(static_cast<int32_t>(labels) >> 31) : 0;
+    const uint32_t f =
+        (((left & kBoth) * (4 - column.phase) + (right & kBoth) * column.phase + 0x00020002u) >> 2) & kBoth &
+        known;
     const uint32_t u = f & 0xffffu, v = f >> 16;
-    n += known;
+    n -= known;
     both += f;
     du += u * u;
     dv += v * v;
@@ -164,13 +185,15 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
   const bool any = candidates_of_cell(p, grid, cell, radius, active);
   Best best{{__int_as_float(0x7f800000), __int_as_float(0x7f800000)}, {-1, -1}};
 
-  int place_x[kPlacesEach], place_y[kPlacesEach];
+  // A thread has places of one column, every kGroups-th from a row on.
+  const int place_column = t % kPlaceColumns, place_row = t / kPlaceColumns;
+  const int x = static_cast<int>(blockIdx.x) * kCellColumns - kReach + place_column;
+  const int y = static_cast<int>(blockIdx.y) * kCellRows - kReach + place_row;
+  const bool has_places = place_row < kGroups;
+  uint32_t rows_open[kPlacesEach];  // to the place's rays: all of an image, or none where there is no pixel
   for (int r = 0; r < kPlacesEach; ++r) {
-    const int place = t + r * kThreads;
-    place_x[r] = static_cast<int>(blockIdx.x) * kCellColumns - kReach + place % kPlaceColumns;
-    place_y[r] = static_cast<int>(blockIdx.y) * kCellRows - kReach + place / kPlaceColumns;
-    if (place_x[r] < 0 || place_x[r] >= width || place_y[r] >= height)
-      place_y[r] = -1;  // no pixel: no variance
+    const int of_place = y + r * kGroups;
+    rows_open[r] = has_places && x >= 0 && x < width && of_place >= 0 && of_place < height ? height : 0;
   }
   int half = 0;
   for (int word = 0; any && 32 * word < count; ++word)
@@ -179,34 +202,36 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
       Sums sums[kPlacesEach];
       const uint32_t* image = gradients;
       for (int k = 0; k < cameras; ++k, image += static_cast<size_t>(height) * width) {
-        const float* of_candidate = shifts + (static_cast<size_t>(i) * cameras + k) * 3;
-        const RayShift shift{of_candidate[0], of_candidate[1], of_candidate[2], offsets[kOffsets * k + 3],
-                             offsets[kOffsets * k + 4]};
+        const RayShift shift = shift_of(shifts, offsets, cameras, i, k);
+        const Column column(4 * x + quarter_offset(ray_dx(shift, x, cx)), width);
+        uint32_t left[kPlacesEach], right[kPlacesEach];
+        bool exists[kPlacesEach];
 #pragma unroll
-        for (int r = 0; r < kPlacesEach; ++r) {
-          const int xq = 4 * place_x[r] + quarter_offset(ray_dx(shift, place_x[r], cx));
-          const int row = place_y[r] + whole_offset(ray_dy(shift, place_y[r], cy));
-          if (place_y[r] < 0 || !inside(xq, row, width, height)) continue;
-          const uint32_t* at = image + row * width + (xq >> 2);
-          const uint32_t phase = xq & 3;
-          sums[r].add(at[0], at[phase ? 1 : 0], phase);
+        for (int r = 0; r < kPlacesEach; ++r) {  // all loads, then all sums: they wait together
+          const int of_place = y + r * kGroups, row = of_place + whole_offset(ray_dy(shift, of_place, cy));
+          exists[r] = column.inside && static_cast<uint32_t>(row) < rows_open[r];
+          const uint32_t* at = image + static_cast<uint32_t>(exists[r] ? row * width + column.left : 0);
+          left[r] = at[0], right[r] = at[1];
         }
+#pragma unroll
+        for (int r = 0; r < kPlacesEach; ++r) sums[r].add(left[r], right[r], column, exists[r]);
       }
 #pragma unroll
       for (int r = 0; r < kPlacesEach; ++r) {
-        const int place = t + r * kThreads;
-        if (place >= kPlaces) continue;
+        const int row = place_row + r * kGroups;
+        if (!has_places || row >= kPlaceRows) continue;
         const Sums& s = sums[r];
-        (&du[half][0][0])[place] = packed(s.n, s.both & 0xffffu, s.du, inverse_squares) + (s.n ? kSeen : 0);
-        (&dv[half][0][0])[place] = packed(s.n, s.both >> 16, s.dv, inverse_squares);
+        du[half][row][place_column] =
+            packed(s.n, s.both & 0xffffu, s.du, inverse_squares) + (s.n ? kSeen : 0);
+        dv[half][row][place_column] = packed(s.n, s.both >> 16, s.dv, inverse_squares);
       }
       __syncthreads();  // the one before the next candidate but one writes here again is the next candidate's
-      const int x = threadIdx.x, y = 2 * threadIdx.y;
-      const Pattern pattern = pattern_sums(du[half] + y, dv[half] + y, x);
+      const int column = threadIdx.x, row = 2 * threadIdx.y;
+      const Pattern pattern = pattern_sums(du[half] + row, dv[half] + row, column);
       const int d8 = grid.first + i * grid.step;
 #pragma unroll
       for (int j = 0; j < 2; ++j) {
-        const int own = du[half][y + j + kReach][x + kReach], sum = j ? pattern.lower : pattern.upper;
+        const int own = du[half][row + j + kReach][column + kReach], sum = j ? pattern.lower : pattern.upper;
         const int variances = sum & (kSeen - 1);
         const float variance = own >= kSampleKnown ? static_cast<float>(variances) * scales[sum >> 24]
                                                    : (own ? lone_variance : unseen_variance);
@@ -247,9 +272,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     for (uint32_t rest = active[word]; rest && (open[0] || open[1]); rest &= rest - 1) {
       const int i = 32 * word + __ffs(static_cast<int>(rest)) - 1, d8 = grid.first + i * grid.step;
       for (int k = 0; k < cameras; ++k) {
-        const float* of_candidate = shifts + (static_cast<size_t>(i) * cameras + k) * 3;
-        const RayShift shift{of_candidate[0], of_candidate[1], of_candidate[2], offsets[kOffsets * k + 3],
-                             offsets[kOffsets * k + 4]};
+        const RayShift shift = shift_of(shifts, offsets, cameras, i, k);
         const int xq = 4 * p.x + quarter_offset(ray_dx(shift, p.x, cx));
         const uint8_t* view = changed + static_cast<size_t>(k) * height * width;
         for (int j = 0; j < 2; ++j) {
