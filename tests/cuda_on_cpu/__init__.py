@@ -18,6 +18,8 @@ import numpy as np
 
 import seepast.gpu
 
+from . import strict
+
 HERE = Path(__file__).parent
 KERNELS = Path(seepast.gpu.__file__).parent / "kernels"
 HEADERS = (KERNELS, HERE.parents[1] / "cpp", HERE)
@@ -69,6 +71,25 @@ class EmulatedDevice:
 
     def synchronize(self) -> None:
         pass
+
+
+class StrictDevice(EmulatedDevice):
+    """The same with arrays as choosy as CuPy's (strict.py)."""
+
+    xp = strict.xp
+
+    def launch(self, file: str, kernel: str, *, args: Sequence[Any], **how: Any) -> None:
+        for i, arg in enumerate(args):
+            if isinstance(arg, np.ndarray):
+                raise AssertionError(f"{file}.{kernel}: argument {i} is NumPy's: upload it first")
+        hosts = [arg.host if isinstance(arg, strict.Array) else arg for arg in args]
+        super().launch(file, kernel, args=hosts, **how)
+
+    def upload(self, array: Any) -> Any:
+        return strict.Array(super().upload(array))
+
+    def download(self, array: Any) -> Any:
+        return array.host.copy()
 
 
 def _three(what: str, size: Sequence[int]) -> tuple[int, int, int]:
