@@ -12,42 +12,40 @@ import numpy as np
 from ..candidates import Candidates
 from ..geometry import ArrayGeometry
 from ..gpu import device
+from ..gpu.launches import int32, launch_tiles, view_table
 from ..gpu.tables import addresses, constant, views_table
 from ..many import CONFIDENT, VoteWeights
 
-__all__ = ["confidence_of", "confirmed", "labels", "votes", "votes_of_views", "witnesses"]
-
-TILE = (32, 8)  # threads of a block, one per pixel
+__all__ = ["confidence_of", "labels", "votes", "votes_of_views", "witnesses", "witnesses_of_views"]
 
 
 def witnesses(disparity, disparities, static, geometry: ArrayGeometry, skip: int, tolerance: int):
-    xp, shape = device.current().xp, disparity.shape
+    agree, farther = _witnesses(disparity[None], disparities, static, [geometry], [skip], tolerance)
+    return agree[0], farther[0]
+
+
+def witnesses_of_views(found, static, views: Sequence[ArrayGeometry], tolerance: int):
+    """`witnesses` of every view by the others: uint8 and bool [K, H, W]."""
+    return _witnesses(found, found, static, views, range(len(views)), tolerance)
+
+
+def _witnesses(found, disparities, static, views, skips, tolerance: int):
+    xp, shape = device.current().xp, found.shape
     agree, farther = xp.empty(shape, np.uint8), xp.empty(shape, bool)
-    _launch_tiles(
-        "witness", "witnesses", shape, 1, *views_table([geometry]), disparity, disparities, static, constant(np.array([skip], np.int32)),
-        np.int32(geometry.cameras), *_int32(*shape, tolerance), agree, farther,
+    skipped = constant(np.array(skips, np.int32))
+    launch_tiles(
+        "witness", "witnesses", shape, *views_table(views), found, disparities, static, skipped,
+        *int32(len(static), *shape[1:], tolerance), agree, farther,
     )  # fmt: skip
     return agree, farther
-
-
-def confirmed(disparities, static, views: Sequence[ArrayGeometry], tolerance: int, lone: int, doubtful: int):
-    """Of every view by the others: confidence uint8 [K, H, W] (confidence_of), and bool [K, H, W] what `planes` may
-    trust, and what it is wanted for."""
-    xp, shape = device.current().xp, disparities.shape
-    confidence, trusted, wanted = xp.empty(shape, np.uint8), xp.empty(shape, bool), xp.empty(shape, bool)
-    _launch_tiles(
-        "witness", "confirm", shape[1:], shape[0], *views_table(views), disparities, static,
-        *_int32(*shape, tolerance, CONFIDENT, lone, doubtful), confidence, trusted, wanted,
-    )  # fmt: skip
-    return confidence, trusted, wanted
 
 
 def labels(disparity, disparities, static, geometry: ArrayGeometry, tolerance: int):
     xp, shape = device.current().xp, disparity.shape
     shown, passing = xp.empty(shape, np.uint16), xp.empty(shape, np.uint16)
-    _launch_tiles(
-        "witness", "labels", shape, 1, constant(geometry.offsets), *np.array(geometry.center, np.float32), disparity,
-        disparities, static, *_int32(geometry.reference, geometry.cameras, *shape, tolerance), shown, passing,
+    launch_tiles(
+        "witness", "labels", (1, *shape), *view_table(geometry), disparity, disparities, static,
+        *int32(geometry.reference, geometry.cameras, *shape, tolerance), shown, passing,
     )  # fmt: skip
     return shown, passing
 
@@ -56,7 +54,7 @@ def confidence_of(agree, farther, static, lone: int, doubtful: int):
     out = device.current().xp.empty(agree.shape, np.uint8)
     device.current().launch(
         "witness", "confidence_of", grid=(-(-agree.size // 256),), block=(256,),
-        args=[agree, farther, static, *_int32(agree.size, CONFIDENT, lone, doubtful), out],
+        args=[agree, farther, static, *int32(agree.size, CONFIDENT, lone, doubtful), out],
     )  # fmt: skip
     return out
 
@@ -103,21 +101,10 @@ def votes_of_views(
         "vote", "votes", grid=(-(-width // 32), height, len(views)), block=(256,),
         args=[
             *views_table(views), addresses(rows), constant(np.array(skips, np.int32)), disparities, confidence,
-            *_int32(
+            *int32(
                 len(disparities), height, width, grid.first, grid.step, weights.base, weights.gain, weights.hide,
                 weights.volume, weights.visible,
             ),
         ],
     )  # fmt: skip
     return outs
-
-
-def _int32(*values: int) -> list[np.int32]:
-    return [np.int32(v) for v in values]
-
-
-def _launch_tiles(file: str, kernel: str, shape: tuple[int, int], views: int, *args) -> None:
-    """One thread per pixel of `views` images of `shape` (height, width)."""
-    height, width = shape
-    grid = (-(-width // TILE[0]), -(-height // TILE[1]), views)
-    device.current().launch(file, kernel, grid=grid, block=TILE, args=args)

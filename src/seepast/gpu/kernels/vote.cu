@@ -14,6 +14,7 @@ constexpr int kChunk = 16;       // candidates of one row of a volume
 constexpr int kFullVote = 1280;  // many.py FULL_VOTE
 constexpr int kPixels = 32, kThreads = 256, kWarps = kThreads / kPixels, kEach = kChunk / kWarps;
 constexpr int kPitch = kChunk / 4 + 1;  // words per pixel of the energies: an odd number, for the banks
+constexpr float kNowhere = 1e8f;        // a parallax that leaves every image
 static_assert(kThreads == kChunk * kMaxCameras, "one thread aims at one candidate with one camera");
 
 // How all pixels of a row look at a candidate with one camera: where, and what disparity agrees with it
@@ -25,7 +26,7 @@ struct alignas(16) Aim {
 
 struct Shared {
   Aim aims[kChunk][kMaxCameras];
-  int lines[kChunk][kMaxCameras];       // of the camera's images, -1: nowhere
+  int lines[kChunk][kMaxCameras];       // where the row of that camera's image begins
   int16_t margins[2][kChunk][kPixels];  // max(0, s - v) of this chunk and the one before
   uint32_t energies[kPixels * kPitch];  // bytes
   int rows[kPixels];                    // of the volume, -1: none
@@ -36,10 +37,11 @@ __device__ uint64_t any_of(uint64_t bits) {
   return bits;
 }
 
-// Support and violation by one camera's disparity and confidence.
-__device__ void add_vote(int e, int c, int& support, int& violation) {
-  support += c * max(0, kUnits - abs(e));
-  violation += c * min(2 * kUnits, max(0, -e - kUnits));
+// Support and violation by one camera that has confidence c in a disparity lower than the candidate's by
+// `behind`.
+__device__ void add_vote(int behind, int c, int& support, int& violation) {
+  support += c * max(0, kUnits - abs(behind));
+  violation += c * min(2 * kUnits, max(0, behind - kUnits));
 }
 
 }  // namespace
@@ -84,9 +86,10 @@ extern "C" __global__ void __launch_bounds__(kThreads)
           8.0f;
       const RayShift shift = shift_of(offsets + kOffsets * (cameras * view + k), d);
       const int row = y + whole_offset(ray_dy(shift, y, cy));
-      shared.aims[i][k] = {shift.zoom, shift.x, shift.view_x,
+      const bool looks = k != skip && within(row, height);
+      shared.aims[i][k] = {shift.zoom, looks ? shift.x : kNowhere, shift.view_x,
                            floor_int(d * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f)};
-      shared.lines[i][k] = k != skip && within(row, height) ? (k * height + row) * width : -1;
+      shared.lines[i][k] = (k * height + row) * width;
     }
     __syncthreads();
 
@@ -97,14 +100,13 @@ extern "C" __global__ void __launch_bounds__(kThreads)
 #pragma unroll 2
     for (int k = 0; k < cameras; ++k)
 #pragma unroll
-      for (int n = 0; n < kEach; ++n) {
+      for (int n = 0; n < kEach; ++n) {  // no branches: the loads of several votes are on their way together
         const int i = warp + n * kWarps, line = shared.lines[i][k];
-        if (line < 0) continue;  // of all lanes
         const Aim aim = shared.aims[i][k];
         const int column = x + whole_offset(from_center * aim.zoom - aim.parallax + aim.side);
-        if (!has || !within(column, width)) continue;
-        add_vote(disparities[line + column] - aim.expected, confidence[line + column], support[n],
-                 violation[n]);
+        const bool there = within(column, width);
+        const uint32_t seen = there ? static_cast<uint32_t>(line + column) : 0, c = confidence[seen];
+        add_vote(aim.expected - disparities[seen], there ? static_cast<int>(c) : 0, support[n], violation[n]);
       }
 
     int nearest[kEach] = {};  // margins of candidates that hide this one

@@ -32,6 +32,12 @@ __device__ Said ask(const float* __restrict__ offsets, float cx, float cy, int x
   return said;
 }
 
+// 7 where disparities are equal, less the more they differ (confidence.py STEPS).
+__device__ int flatness(int spread) {
+  return (spread <= 7) + (spread <= 15) + (spread <= 23) + (spread <= 31) + (spread <= 47) + (spread <= 63) +
+         (spread <= 127);
+}
+
 }  // namespace
 
 // skips int32 [V]: the camera that is not asked, or -1. agree, farther uint8 [V, H, W].
@@ -48,25 +54,6 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
                         d[at], disparities, is_static, cameras, height, width, skips[view], tolerance);
   agree[at] = static_cast<uint8_t>(said.agree);
   farther[at] = static_cast<uint8_t>(said.farther);
-}
-
-// witnesses of every view by the others, graded: view v is camera v. confidence, trusted, wanted uint8 [K, H,
-// W]: confidence_of, and what `planes` fits and completes.
-extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    confirm(const float* __restrict__ offsets, const float* __restrict__ centers,
-            const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static, int cameras,
-            int height, int width, int tolerance, int confident, int lone, int doubtful,
-            uint8_t* __restrict__ confidence, uint8_t* __restrict__ trusted, uint8_t* __restrict__ wanted) {
-  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
-  if (x >= width || y >= height) return;
-  const int at = (view * height + y) * width + x;
-  const Said said = ask(offsets + kOffsets * cameras * view, centers[2 * view], centers[2 * view + 1], x, y,
-                        disparities[at], disparities, is_static, cameras, height, width, view, tolerance);
-  const bool own = is_static[at], sure = said.agree > 0;
-  const int grade = sure ? confident : (said.farther ? doubtful : lone);
-  confidence[at] = static_cast<uint8_t>(own ? grade : 0);
-  trusted[at] = sure && own;
-  wanted[at] = !sure;
 }
 
 // agree, farther, is_static uint8 [count].
@@ -102,4 +89,46 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   }
   shown[pixel] = static_cast<uint16_t>(show);
   passing[pixel] = static_cast<uint16_t>(pass);
+}
+
+// Evidence on the disparities of one view (confidence.py): offsets [K, 5]; d, shown uint16, evidence uint8
+// [H, W]. Blocks of 32 x 8 threads, tiles of 32 x 32 pixels.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    evidence(const float* __restrict__ offsets, float cx, float cy, const uint16_t* __restrict__ d,
+             const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
+             const uint16_t* __restrict__ shown, int reference, int cameras, int height, int width,
+             int tolerance, uint8_t* __restrict__ out) {
+  constexpr int kReach = 4, kTile = 32;  // confidence.py REACH = 9
+  __shared__ uint16_t low[kTile + 2 * kReach][kTile], high[kTile + 2 * kReach][kTile];
+  const int left = blockIdx.x * kTile, top = blockIdx.y * kTile, x = left + threadIdx.x;
+  for (int j = threadIdx.y; j < kTile + 2 * kReach; j += kDown) {
+    const int y = top + j - kReach;
+    int least = 0xffff, most = 0;
+    if (within(y, height))
+      for (int i = max(0, x - kReach); i <= min(width - 1, x + kReach); ++i) {
+        const int value = d[y * width + i];
+        least = min(least, value);
+        most = max(most, value);
+      }
+    low[j][threadIdx.x] = static_cast<uint16_t>(least);
+    high[j][threadIdx.x] = static_cast<uint16_t>(most);
+  }
+  __syncthreads();
+  for (int j = threadIdx.y; j < kTile; j += kDown) {
+    const int y = top + j, at = y * width + x;
+    if (x >= width || y >= height) continue;
+    int least = 0xffff, most = 0;
+#pragma unroll
+    for (int i = 0; i <= 2 * kReach; ++i) {
+      least = min(least, static_cast<int>(low[j + i][threadIdx.x]));
+      most = max(most, static_cast<int>(high[j + i][threadIdx.x]));
+    }
+    const int close = ask(offsets, cx, cy, x, y, d[at], disparities, is_static, cameras, height, width,
+                          reference, tolerance)
+                          .agree;
+    const int own = is_static[(static_cast<size_t>(reference) * height + y) * width + x];
+    const int loose = max(0, __popc(shown[at]) - own - close);
+    out[at] =
+        static_cast<uint8_t>(128 * own + 32 * min(close, 3) + 8 * min(loose, 3) + flatness(most - least));
+  }
 }
