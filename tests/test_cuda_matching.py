@@ -182,3 +182,12 @@ def test_all_views_in_a_few_launches(emulated):
     costs = cuda.volumes(cuda.describe(c.colour, c.static), c.views, candidates, COSTS)
     cuda.aggregates(costs, c.colour, c.static, candidates, FIRST)
     assert len(emulated.launches) == 3 + 1 + 2 + 3
+
+
+def test_strides_are_refused():
+    """Kernels that take addresses cannot see them."""
+    c = case("noise")
+    candidates = known(Candidates.all(DisparityGrid(0, 8, 16), c.static.shape[1:]))
+    costs = np.zeros((candidates.chunks, CHUNK), np.uint8)
+    with pytest.raises(ValueError, match="not contiguous"):
+        cuda.aggregate(costs, c.colour[0][:, ::-1], c.static[0], candidates, FIRST)

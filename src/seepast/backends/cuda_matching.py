@@ -246,10 +246,10 @@ def _choose(
     ways, kind = here.xp.empty((paths, rows, CHUNK), way), "bytes" if way is np.uint8 else "words"
     lines = 4  # of a block
     here.launch(
-        "aggregate", f"paths_in_{kind}", grid=(-(-max(height, width) // lines), paths, n), block=(32 * lines,),
+        "aggregate", f"paths_in_{kind}", grid=(-(-max(height, width) // lines), paths, n), block=(16 * lines,),
         args=[addresses, *map(_int, (height, width, grid.count)), np.int64(rows), _int(penalties.small), large,
               _int(penalties.dynamic), ways],
-        shared=4 * 2 * lines * (grid.count + 2),
+        shared=4 * 2 * lines * (grid.count + 4),
     )  # fmt: skip
     here.launch(
         "aggregate", f"winners_of_{kind}", grid=(-(-height * width // 256), n), block=(256,),

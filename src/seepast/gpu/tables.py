@@ -32,7 +32,9 @@ def constant(values: np.ndarray) -> Any:
 
 
 def address(array: Any) -> int:
-    """Where a device's array begins."""
+    """Where a device's array begins. Raises ValueError unless it is C-contiguous: kernels take no strides."""
+    if not array.flags.c_contiguous:
+        raise ValueError(f"an array of shape {array.shape} goes to a kernel by its address and is not contiguous")
     return int(array.ctypes.data if isinstance(array, np.ndarray) else array.data.ptr)
 
 
@@ -40,7 +42,7 @@ def addresses(arrays: Sequence[Sequence[Any]]) -> Any:
     """uint64 [rows, columns] on the device: where the arrays begin, for kernels that work on many views at once.
 
     Memory that is freed and taken again has the same addresses from frame to frame, so this too is mostly there. The
-    arrays must be C-contiguous and outlive the launch (on one stream they do: memory is reused behind it).
+    arrays must outlive the launch (on one stream they do: memory is reused behind it).
     """
     return constant(np.array([[address(array) for array in row] for row in arrays], np.uint64))
 

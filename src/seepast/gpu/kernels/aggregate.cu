@@ -10,7 +10,8 @@
 using namespace seepast;
 
 constexpr unsigned kAll = 0xffffffffu;
-constexpr int kLines = 4;  // warps of a block of paths
+constexpr int kLanes = 16;                                // that walk along a line
+constexpr int kThreads = 64, kLines = kThreads / kLanes;  // of a block of paths
 
 // One view: device addresses, as the host tables them.
 struct View {
@@ -39,6 +40,7 @@ __device__ inline View view_at(const uint64_t* addresses, int n) {
 // new paths: so all of them are as long as the image is high.
 struct Line {
   int x, y, dx, dy, height, width;
+  bool exists;
 
   __device__ int steps() const { return dy ? height : width; }
   __device__ int column(int t) const {
@@ -47,16 +49,17 @@ struct Line {
     return at < 0 ? at + width : at;
   }
   __device__ int row(int t) const { return dy == 0 ? y : dy > 0 ? t : height - 1 - t; }
+  __device__ int pixel(int t) const { return row(t) * width + column(t); }
   __device__ bool begins(int t) const {
     return t == 0 || (dy != 0 && dx != 0 && column(t) == (dx > 0 ? 0 : width - 1));
   }
 };
 
 // The paths in order: left to right, right to left, down, up, and the diagonals.
-__device__ inline Line line_of(int path, int number, int height, int width) {
+__device__ inline Line line_of(int path, int number, int height, int width, bool exists) {
   const int dy = path < 2 ? 0 : path == 2 || path == 4 || path == 5 ? 1 : -1;
   const int dx = path < 2 ? 1 - 2 * path : path < 4 ? 0 : path == 4 || path == 6 ? 1 : -1;
-  return {number, number, dx, dy, height, width};
+  return {number, number, dx, dy, height, width, exists};
 }
 
 __device__ inline int difference(const uint8_t* a, const uint8_t* b, int channel) {
@@ -78,11 +81,10 @@ __device__ inline int large_at(const View& v, const Line& line, int t, int p,
 // Position of the lowest bit, 63 if there is none.
 __device__ inline int lowest_bit(uint64_t bits) { return (__ffsll(static_cast<long long>(bits)) - 1) & 63; }
 
-// What a path needs to know of a pixel, in few words. Lanes look 32 pixels up at a time.
+// What a path needs to know of a pixel, in few words. Lanes look 16 pixels up at a time.
 struct Place {
   uint32_t word;
   int start;
-  uint64_t active;
 
   // Bits 0..5, 6..11: the two lowest chunks; 12..18: how many there are; 19: they follow each other; 20..31:
   // P2 + 1.
@@ -91,7 +93,7 @@ struct Place {
     const unsigned in_a_row = (run & (run + 1)) == 0;
     return {static_cast<uint32_t>(lowest_bit(active) | lowest_bit(others) << 6 | __popcll(active) << 12 |
                                   in_a_row << 19 | static_cast<unsigned>(large + 1) << 20),
-            start, active};
+            start};
   }
 };
 
@@ -101,18 +103,16 @@ __device__ inline int large_of(uint32_t word) { return static_cast<int>(word >> 
 
 __device__ inline Place place_at(const View& v, const Line& line, int t, const uint16_t* __restrict__ large,
                                  int dynamic) {
-  if (t >= line.steps()) return Place::of(0, 0, -1);
-  const int p = line.row(t) * line.width + line.column(t);
+  if (t >= line.steps() || !line.exists) return Place::of(0, 0, -1);
+  const int p = line.pixel(t);
   return Place::of(v.active[p], v.start[p], large_at(v, line, t, p, large, dynamic));
 }
 
-__device__ inline unsigned lowest_of_warp(unsigned value) {
-#if !defined(__CUDA_ARCH__) || __CUDA_ARCH__ >= 800
-  return __reduce_min_sync(kAll, value);
-#else
-  for (int step = 16; step > 0; step /= 2) value = min(value, __shfl_xor_sync(kAll, value, step));
+__device__ inline unsigned lowest_of_line(unsigned value) {
+#pragma unroll
+  for (int step = kLanes / 2; step > 0; step /= 2)
+    value = min(value, __shfl_xor_sync(kAll, value, step, kLanes));
   return value;
-#endif
 }
 
 // Takes the two lowest chunks out of `rest`; the lane's.
@@ -124,80 +124,88 @@ __device__ inline int next_chunk(uint64_t& rest, int half) {
   return half ? second : first;
 }
 
-// A path's costs at the pixel before and at this one lie in shared memory, entry d + 1 for candidate d, below
-// a mark that falls from pixel to pixel: so what was left there by earlier ones is above all that counts, and
-// loses every comparison.
+// A path's costs at the pixel before and at this one lie in shared memory, entry d + kGuard for candidate d,
+// below a mark that falls from pixel to pixel: so what was left there by earlier ones is above all that
+// counts, and loses every comparison.
 constexpr unsigned kMark = 1u << 16, kUnwritten = 0xffffu * kMark;
+constexpr int kGuard = 2;
 
-// L(p, d) - C(p, d) = min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q) of one candidate.
+__device__ inline void put(uint8_t* to, unsigned first, unsigned second) {
+  *reinterpret_cast<uint16_t*>(to) = static_cast<uint16_t>(first | second << 8);
+}
+__device__ inline void put(uint16_t* to, unsigned first, unsigned second) {
+  *reinterpret_cast<uint32_t*>(to) = first | second << 16;
+}
+__device__ inline unsigned two_at(const uint8_t* costs) { return *reinterpret_cast<const uint16_t*>(costs); }
+
+// L(p, d) - C(p, d) = min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q).
 struct Step {
   unsigned lowest, far, small, mark;
   const uint32_t* before;
   uint32_t* here;
 
-  // Its way; and the cost of the path.
-  __device__ unsigned to(int entry, unsigned cost, unsigned& path_cost) const {
-    const unsigned beside = min(before[entry - 1], before[entry + 1]) + small;
-    const unsigned way = min(min(before[entry], far), beside) - lowest;
-    path_cost = mark + way + cost;
-    here[entry] = path_cost;
-    return way;
+  // Of two candidates and their two costs; returns the lower cost of the path.
+  template <typename Way>
+  __device__ unsigned take(int entry, unsigned costs, Way* ways) const {
+    const uint2 same = *reinterpret_cast<const uint2*>(before + entry);
+    const unsigned left = min(before[entry - 1], same.y) + small,
+                   right = min(same.x, before[entry + 2]) + small;
+    const unsigned first = min(min(same.x, far), left) - lowest,
+                   second = min(min(same.y, far), right) - lowest;
+    put(ways, first, second);
+    const uint2 found = make_uint2(mark + first + (costs & 255), mark + second + (costs >> 8));
+    *reinterpret_cast<uint2*>(here + entry) = found;
+    return min(found.x, found.y);
   }
 };
 
-// All pixels of a line, into `ways` [rows, 16] of the path.
+// All pixels of a line, into `ways` [rows, 16] of the path. Both halves of a warp walk in step.
 template <typename Way>
 __device__ inline void walk(const View& v, const Line& line, unsigned small,
                             const uint16_t* __restrict__ large, int dynamic, Way* __restrict__ ways,
                             uint32_t* __restrict__ path_costs, int pitch) {
-  const int lane = threadIdx.x % 32, half = lane / kChunk, first_entry = lane % kChunk + 1,
-            steps = line.steps();
-  const uint8_t* const costs = v.costs + lane;  // a lane's chunk is the first or the second
-  ways += lane;
-  for (int i = lane; i < 2 * pitch; i += 32) path_costs[i] = kUnwritten;
+  const int lane = threadIdx.x % kLanes, half = lane / (kChunk / 2), steps = line.steps();
+  const int first_entry = 2 * (lane % (kChunk / 2)) + kGuard;
+  const uint8_t* const costs = v.costs + 2 * lane;  // a lane's chunk is the first or the second
+  ways += 2 * lane;
+  for (int i = lane; i < 2 * pitch; i += kLanes) path_costs[i] = kUnwritten;
   Step step{0, 0, small, kUnwritten, path_costs, path_costs + pitch};
-  Place mine = place_at(v, line, lane, large, dynamic), later = place_at(v, line, 32 + lane, large, dynamic);
-  uint32_t next = __shfl_sync(kAll, mine.word, 0);
-  int next_start = __shfl_sync(kAll, mine.start, 0);
-  unsigned next_cost = half < chunks_of(next) ? costs[kChunk * static_cast<int64_t>(next_start)] : 0;
+  Place mine = place_at(v, line, lane, large, dynamic),
+        later = place_at(v, line, kLanes + lane, large, dynamic);
+  uint32_t next = __shfl_sync(kAll, mine.word, 0, kLanes);
+  int next_start = __shfl_sync(kAll, mine.start, 0, kLanes);
+  unsigned next_costs =
+      half < chunks_of(next) ? two_at(costs + kChunk * static_cast<int64_t>(next_start)) : 0;
   __syncwarp();
   for (int t = 0; t < steps; ++t) {
     const uint32_t place = next;
-    const int chunks = chunks_of(place);
+    const unsigned costs_here = next_costs;
+    const int chunks = chunks_of(place), into = large_of(place);
     const int64_t at = kChunk * static_cast<int64_t>(next_start);
-    unsigned cost = next_cost;
-    // more than two chunks are rare, but for whole ranges
-    uint64_t rest = chunks > 2 && !in_a_row(place) ? __shfl_sync(kAll, mine.active, t % 32) : 0;
-    if (t % 32 == 31) mine = later, later = place_at(v, line, t + 33 + lane, large, dynamic);
-    next = __shfl_sync(kAll, mine.word, (t + 1) % 32);
-    next_start = __shfl_sync(kAll, mine.start, (t + 1) % 32);
+    if (t % kLanes == kLanes - 1)
+      mine = later, later = place_at(v, line, t + kLanes + 1 + lane, large, dynamic);
+    next = __shfl_sync(kAll, mine.word, (t + 1) % kLanes, kLanes);
+    next_start = __shfl_sync(kAll, mine.start, (t + 1) % kLanes, kLanes);
     // while this pixel is worked on
-    next_cost = half < chunks_of(next) ? costs[kChunk * static_cast<int64_t>(next_start)] : 0;
+    next_costs = half < chunks_of(next) ? two_at(costs + kChunk * static_cast<int64_t>(next_start)) : 0;
 
-    const int into = large_of(place);
     if (into < 0) step.lowest = 0;
     step.far = step.lowest + max(into, 0);
     step.mark -= kMark;
-    unsigned least = kUnwritten, path_cost;
+    unsigned least = kUnwritten;
     int entry = kChunk * (place >> 6 * half & 63) + first_entry;
-    if (half < chunks) {
-      ways[at] = static_cast<Way>(step.to(entry, cost, path_cost));
-      least = path_cost;
-    }
-    if (chunks > 2) {
-      rest &= rest - 1;
-      rest &= rest - 1;
+    if (half < chunks) least = step.take(entry, costs_here, ways + at);
+    if (chunks > 2) {  // rare, but for whole ranges
+      uint64_t rest = in_a_row(place) ? 0 : v.active[line.pixel(t)];
+      next_chunk(rest, half);
 #pragma unroll 1
       for (int done = 2; done < chunks; done += 2) {
         entry = in_a_row(place) ? entry + 2 * kChunk : kChunk * next_chunk(rest, half) + first_entry;
-        if (done + half < chunks) {
-          const int64_t row = at + kChunk * done;
-          ways[row] = static_cast<Way>(step.to(entry, costs[row], path_cost));
-          least = min(least, path_cost);
-        }
+        const int64_t row = at + kChunk * done;
+        if (done + half < chunks) least = min(least, step.take(entry, two_at(costs + row), ways + row));
       }
     }
-    step.lowest = lowest_of_warp(least);
+    step.lowest = lowest_of_line(least);
     __syncwarp();
     uint32_t* const swapped = step.here;
     step.here = const_cast<uint32_t*>(step.before);
@@ -209,17 +217,18 @@ template <typename Way>
 __device__ inline void paths_of(const uint64_t* addresses, int height, int width, int count, size_t rows,
                                 int small, const uint16_t* large, int dynamic, Way* ways,
                                 uint32_t* path_costs) {
-  const int number = blockIdx.x * kLines + threadIdx.x / 32, path = blockIdx.y;
-  if (number >= (path < 2 ? height : width)) return;
-  const int pitch = count + 2;
+  const int in_block = threadIdx.x / kLanes, number = blockIdx.x * kLines + in_block, path = blockIdx.y;
+  const int lines = path < 2 ? height : width;
+  if (number - in_block % 2 >= lines) return;  // the whole warp
+  const int pitch = count + 2 * kGuard;
   const View v = view_at(addresses, blockIdx.z);
-  walk(v, line_of(path, number, height, width), static_cast<unsigned>(small), large, dynamic,
-       ways + kChunk * (path * rows + v.first), path_costs + threadIdx.x / 32 * 2 * pitch, pitch);
+  walk(v, line_of(path, number, height, width, number < lines), static_cast<unsigned>(small), large, dynamic,
+       ways + kChunk * (path * rows + v.first), path_costs + in_block * 2 * pitch, pitch);
 }
 
 // addresses [n, 7]: View. rows of all views together; large uint16 [766]; ways [paths, rows, 16]. Blocks of
-// 128 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 2) uint32.
-extern "C" __global__ void __launch_bounds__(32 * kLines)
+// 64 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 4) uint32.
+extern "C" __global__ void __launch_bounds__(kThreads, 16)
     paths_in_bytes(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
                    int small, const uint16_t* __restrict__ large, int dynamic, uint8_t* __restrict__ ways) {
   SEEPAST_SHARED(uint32_t, path_costs);
@@ -227,7 +236,7 @@ extern "C" __global__ void __launch_bounds__(32 * kLines)
 }
 
 // The same where P2 may be more than 255.
-extern "C" __global__ void __launch_bounds__(32 * kLines)
+extern "C" __global__ void __launch_bounds__(kThreads, 16)
     paths_in_words(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
                    int small, const uint16_t* __restrict__ large, int dynamic, uint16_t* __restrict__ ways) {
   SEEPAST_SHARED(uint32_t, path_costs);
