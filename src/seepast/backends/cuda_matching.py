@@ -120,7 +120,8 @@ def windows_of_views(
 
 def everything(grid: DisparityGrid, shape: tuple[int, ...]) -> DeviceCandidates:
     """Candidates.all on the device."""
-    active, start = _everything(device.current(), grid.count // CHUNK, tuple(shape))
+    here: Any = device.current()
+    active, start = _everything(here, grid.count // CHUNK, tuple(shape))
     return DeviceCandidates(grid, active, start, grid.count // CHUNK * active.size)
 
 
@@ -142,7 +143,8 @@ def volumes(
     features: Features, views: Sequence[ArrayGeometry], candidates: Sequence[Candidates], costs: PairCosts
 ) -> list[Any]:
     """`volume` of n views, whose candidates are of one grid: uint8 [chunks, CHUNK] of each."""
-    here, n = device.current(), len(views)
+    here: Any = device.current()
+    n = len(views)
     K, _, height, width, _ = features.samples.shape
     ends = np.cumsum([0, *(c.chunks for c in candidates)])
     rows = here.xp.empty((int(ends[-1]), CHUNK), np.uint8)
