@@ -53,6 +53,7 @@ __all__ = [
     "volume",
     "volumes",
     "votes",
+    "votes_of_views",
     "windows",
     "windows_of_views",
     "witnesses",
@@ -61,7 +62,8 @@ __all__ = [
 
 _views = OneByOne(sys.modules[__name__])
 windows_of_views, volumes, aggregates = _views.windows_of_views, _views.volumes, _views.aggregates
-witnesses_of_views, planes_of_views = _views.witnesses_of_views, _views.planes_of_views
+votes_of_views, witnesses_of_views = _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
 everything = Candidates.all
 
 

@@ -74,6 +74,7 @@ __all__ = [
     "volume",
     "volumes",
     "votes",
+    "votes_of_views",
     "windows",
     "windows_of_views",
     "witnesses",
@@ -82,7 +83,8 @@ __all__ = [
 
 _views = OneByOne(sys.modules[__name__])
 windows_of_views, volumes, aggregates = _views.windows_of_views, _views.volumes, _views.aggregates
-witnesses_of_views, planes_of_views = _views.witnesses_of_views, _views.planes_of_views
+votes_of_views, witnesses_of_views = _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
 everything = Candidates.all
 
 
