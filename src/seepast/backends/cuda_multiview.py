@@ -15,7 +15,7 @@ from .cuda_matching import (
     windows_of_views,
 )
 from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count
-from .cuda_votes import confidence_of, labels, votes, witnesses, witnesses_of_views
+from .cuda_votes import confidence_of, labels, votes, votes_of_views, witnesses, witnesses_of_views
 
 __all__ = [
     "aggregate",
@@ -41,6 +41,7 @@ __all__ = [
     "volume",
     "volumes",
     "votes",
+    "votes_of_views",
     "windows",
     "windows_of_views",
     "witnesses",
