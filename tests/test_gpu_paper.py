@@ -11,8 +11,10 @@ from seepast import confidence
 from seepast.backends import cpu, cuda, reference
 from seepast.candidates import DisparityGrid, Prior
 from seepast.evidence import UNCHANGED
+from seepast.frames import Frame
 from seepast.gpu import device
 from seepast.gpu.morphology import dilated, eroded
+from seepast.pipeline import Clock, see_past
 from seepast.rectify import NO_RAY
 from test_stages import OPTIONS, SCENES, SMALL, Case, assert_same, case, random_labels
 
@@ -379,5 +381,21 @@ def test_a_round_takes_few_launches(emulated):
     d = cuda.smooth(d, prior, this.wanted, OPTIONS.disparity)
     found = cuda.segmentation(features, this.scene.dynamic, this.geometry, d, this.wanted, OPTIONS)
     cuda.masks(*found, this.geometry, d, this.wanted, this.scene.dynamic, this.static)
-    assert before_rounds == 8
+    assert before_rounds == 9
     assert len(emulated.launches) - before_rounds == 11
+
+
+@pytest.mark.parametrize("dynamic_only", [False, True])
+@pytest.mark.parametrize("name", ["3, middle, residual", "5, last, no-ray borders", "noise", "all dynamic"])
+def test_the_whole_method(name, dynamic_only):
+    """All rounds on the GPU, with what lies between the stages."""
+    this = case(name)
+    frame = Frame(this.scene.colour, this.scene.grey, this.scene.dynamic)
+    options = OPTIONS.updated({"segmentation.max_rounds": 4, "segmentation.beta": 0.002})
+    (expected, rounds), (found, same) = (
+        see_past(frame, this.geometry, options, backend, dynamic_only, Clock()) for backend in (cpu, cuda)
+    )
+    assert rounds == same
+    assert expected.keys() == found.keys()
+    for part in expected:
+        assert_same([expected[part], cuda.download(found[part])])

@@ -19,6 +19,7 @@ from ..gpu.morphology import dilated, eroded
 from ..gpu.tables import constant, views_table
 from ..options import DisparityOptions, Options, PriorOptions, RefocusOptions, SupportOptions
 from ..triangulation import delaunay, with_corners
+from .cuda_lanes import QUEUES, after, faults, fetched, lane, mark, received
 from .cuda_rectify import input_masks, rectified_frame
 from .reference import (
     BLOCK_REACH,
@@ -33,18 +34,25 @@ from .reference import (
 )
 
 __all__ = [
+    "QUEUES",
     "affected",
+    "after",
     "depth",
     "describe",
     "disparity",
     "download",
     "evidence",
+    "faults",
+    "fetched",
     "fill_unseen",
     "input_masks",
+    "lane",
+    "mark",
     "masks",
     "neighbourhood",
     "prior",
     "probability",
+    "received",
     "rectified_frame",
     "refocus",
     "segmentation",
@@ -54,6 +62,7 @@ __all__ = [
 
 TILE = (32, 8)  # threads of a block, of kernels with one thread per pixel
 LINE = 256  # the same where rows do not matter
+BLIND_REACH = 8  # px: points of other cameras that end farther from what the reference does not see are left out early
 PERSISTENT = 1056  # blocks of a kernel that takes work from a list: 8 for each multiprocessor of the largest GPU
 
 
@@ -144,7 +153,7 @@ def support(
     """As reference.support, but of NumPy: the triangulation on the CPU waits for it (12 bytes per grid point)."""
     used, (K, height, width) = device.current(), static.shape
     rows, columns = (-(-size // options.grid) for size in (height, width))
-    clear = eroded(static, BLOCK_REACH)
+    clear, seeing = eroded(static, BLOCK_REACH), eroded(static[geometry.reference], BLIND_REACH)
     found = used.xp.empty((K, rows, columns, 4), np.float32)
     bins = used.xp.full((rows, columns), np.uint64(2**64 - 1), np.uint64)
     offsets, centers = views_table(_views(geometry))
@@ -153,7 +162,7 @@ def support(
         "support", "support", grid=(-(-columns // 4), rows, K), block=(32, 4),
         args=[
             features.descriptors, clear, static, static if near is None else near, np.int32(near is not None),
-            offsets, centers, constant(pairs), constant(spacing),
+            seeing, np.int32(BLIND_REACH), offsets, centers, constant(pairs), constant(spacing),
             *i32(K, height, width, geometry.reference, options.grid, rows, columns, options.texture),
             np.int32(options.left_right), *f32(options.uniqueness, options.max_cost * 4 * SAMPLES),
             *i32(grid.first, grid.step, grid.count), found, bins,
@@ -192,8 +201,10 @@ def prior(points: np.ndarray, shape: tuple[int, int], grid: DisparityGrid, optio
     triangles = np.ascontiguousarray(delaunay(corners, shape))
     if len(triangles):
         used.launch(
-            "prior", "plane_means", grid=(len(triangles),), block=(16, 8),
-            args=[on_gpu, used.upload(triangles), np.int32(width), np.float64(options.max_step), owners],
+            "prior", "plane_means", grid=(-(-len(triangles) // 4), -(-height // 64)), block=(8, 4, 4),
+            args=[
+                on_gpu, used.upload(triangles), *i32(len(triangles), width), np.float64(options.max_step), owners,
+            ],
         )  # fmt: skip
     filled, mean = used.xp.empty(shape, np.int32), used.xp.empty(shape, np.int32)
     used.launch(

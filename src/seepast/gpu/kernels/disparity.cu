@@ -5,6 +5,7 @@
 // one: the variances of single gradients of all its pixels, and two around, into shared memory; then every
 // pixel adds up those of its descriptor's pattern.
 #include "device.h"
+#include "grid.h"
 
 using namespace seepast;
 
@@ -19,14 +20,6 @@ constexpr unsigned kAllLanes = 0xffffffffu;
 constexpr uint32_t kStatic = 1u << 31;   // in a pair of gradients
 constexpr uint32_t kBoth = 0x00ff00ffu;  // du and dv in it
 constexpr int kSeen = 1 << 19;  // in packed variances of du: at least one ray; 16 of them stay below 2^24
-
-// Candidates d = (first + i * step) / 8, i < count.
-struct Candidates {
-  int first, step, count;
-  __device__ float value(int i) const {
-    return (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(i)) / 8.0f;
-  }
-};
 
 // Two pixels of a thread, one above the other, and whether they take part.
 struct Pixels {
@@ -50,8 +43,8 @@ static __device__ Pixels pixels_of_thread(const uint8_t* wanted, const int32_t* 
 
 // Bits of the candidates that any pixel of the block may take, into `active`: those of the cell, and those
 // within `radius` eighths of a pixel's prior mean. False, in all threads alike, if no pixel is wanted.
-static __device__ bool candidates_of_cell(const Pixels& p, const Candidates& grid, const uint8_t* cell,
-                                          int radius, uint32_t* active) {
+static __device__ bool candidates_of_cell(const Pixels& p, const Grid& grid, const uint8_t* cell, int radius,
+                                          uint32_t* active) {
   __shared__ int lows[kWarps], highs[kWarps];
   constexpr int kMost = 0x3fffffff;
   int low = kMost, high = -kMost;
@@ -65,7 +58,7 @@ static __device__ bool candidates_of_cell(const Pixels& p, const Candidates& gri
   __syncthreads();
   for (int w = 0; w < kWarps; ++w) low = min(low, lows[w]), high = max(high, highs[w]);
   for (int word = threadIdx.y; 32 * word < grid.count; word += kWarps) {
-    const int i = 32 * word + threadIdx.x, d8 = grid.first + i * grid.step;
+    const int i = 32 * word + threadIdx.x, d8 = grid.eighths(i);
     const bool takes = i < grid.count && (cell[i] || (d8 >= low - radius && d8 <= high + radius));
     const uint32_t bits = __ballot_sync(kAllLanes, takes);
     if (threadIdx.x == 0) active[word] = bits;
@@ -179,7 +172,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
     inverse_squares[t] = inverse * inverse;
     scales[t] = static_cast<float>(kSamples) / static_cast<float>(t > 1 ? t : 1);
   }
-  const Candidates grid{first, step, count};
+  const Grid grid{first, step, count};
   const Pixels p = pixels_of_thread(wanted, mean, height, width);
   const uint8_t* cell = cell_of_block(cells, count);
   const bool any = candidates_of_cell(p, grid, cell, radius, active);
@@ -228,7 +221,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4)
       __syncthreads();  // the one before the next candidate but one writes here again is the next candidate's
       const int column = threadIdx.x, row = 2 * threadIdx.y;
       const Pattern pattern = pattern_sums(du[half] + row, dv[half] + row, column);
-      const int d8 = grid.first + i * grid.step;
+      const int d8 = grid.eighths(i);
 #pragma unroll
       for (int j = 0; j < 2; ++j) {
         const int own = du[half][row + j + kReach][column + kReach], sum = j ? pattern.lower : pattern.upper;
@@ -263,14 +256,14 @@ extern "C" __global__ void __launch_bounds__(kThreads)
              const int32_t* __restrict__ mean, const uint8_t* __restrict__ cells, int first, int step,
              int count, const uint8_t* __restrict__ wanted, int radius, uint8_t* __restrict__ out) {
   SEEPAST_SHARED(uint32_t, active);
-  const Candidates grid{first, step, count};
+  const Grid grid{first, step, count};
   const Pixels p = pixels_of_thread(wanted, mean, height, width);
   const uint8_t* cell = cell_of_block(cells, count);
   const bool any = candidates_of_cell(p, grid, cell, radius, active);
   bool open[2] = {p.wanted[0], p.wanted[1]};  // might yet be affected
   for (int word = 0; any && 32 * word < count; ++word)
     for (uint32_t rest = active[word]; rest && (open[0] || open[1]); rest &= rest - 1) {
-      const int i = 32 * word + __ffs(static_cast<int>(rest)) - 1, d8 = grid.first + i * grid.step;
+      const int i = 32 * word + __ffs(static_cast<int>(rest)) - 1, d8 = grid.eighths(i);
       for (int k = 0; k < cameras; ++k) {
         const RayShift shift = shift_of(shifts, offsets, cameras, i, k);
         const int xq = 4 * p.x + quarter_offset(ray_dx(shift, p.x, cx));

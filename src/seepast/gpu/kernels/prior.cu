@@ -1,31 +1,28 @@
 // Stage "prior": the planes of the triangulation, and the candidates that every cell's support points
 // suggest.
 #include "device.h"
+#include "grid.h"
 
 using namespace seepast;
 
-constexpr int kTrianglesX = 16, kTrianglesY = 8;  // threads that fill one triangle
+constexpr int kAcross = 8, kDown = 4;  // pixels that a warp looks at together
+constexpr int kTriangles = 4;          // of a block
+constexpr int kBand = 64;              // rows of a block, lest one warp be busy with a large triangle alone
 constexpr unsigned long long kUncovered = ~0ull;
 constexpr int kCellRows = 16, kCellColumns = 32;  // candidates.py CELL
 
-// Corners lie at whole pixels, so that areas are whole numbers. Disparities as in cpp/prior.cpp, in double
-// precision.
-struct Triangle {
+// A triangle; its corners lie at whole pixels, so that areas are whole numbers.
+struct Corners {
   int x[3], y[3];
-  double d[3], slope_x, slope_y;
+  float d[3];
   int area;
-  bool bridges_edge;
 
-  __device__ Triangle(const float* points, const int32_t* corners, double max_step) {
+  __device__ Corners(const float* points, const int32_t* corners) {
     for (int j = 0; j < 3; ++j) {
       const float* p = points + 3 * static_cast<size_t>(corners[j]);
       x[j] = static_cast<int>(p[0]), y[j] = static_cast<int>(p[1]), d[j] = p[2];
     }
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
-    slope_x = ((d[1] - d[0]) * (y[2] - y[0]) - (d[2] - d[0]) * (y[1] - y[0])) / area;
-    slope_y = ((d[2] - d[0]) * (x[1] - x[0]) - (d[1] - d[0]) * (x[2] - x[0])) / area;
-    const double high = d[0] > d[1] ? d[0] : d[1], low = d[0] < d[1] ? d[0] : d[1];
-    bridges_edge = (high > d[2] ? high : d[2]) - (low < d[2] ? low : d[2]) > max_step;
   }
   __device__ bool covers(int px, int py) const {
     const int e0 = (x[1] - x[0]) * (py - y[0]) - (y[1] - y[0]) * (px - x[0]);
@@ -33,11 +30,7 @@ struct Triangle {
     const int e2 = (x[0] - x[2]) * (py - y[2]) - (y[0] - y[2]) * (px - x[2]);
     return area > 0 ? (e0 >= 0 && e1 >= 0 && e2 >= 0) : (e0 <= 0 && e1 <= 0 && e2 <= 0);
   }
-  __device__ double at(int px, int py) const {
-    if (bridges_edge) return nearest(px, py);
-    return d[0] + slope_x * (px - x[0]) + slope_y * (py - y[0]);
-  }
-  __device__ double nearest(int px, int py) const {
+  __device__ float nearest(int px, int py) const {
     int r[3];
     for (int j = 0; j < 3; ++j) r[j] = (px - x[j]) * (px - x[j]) + (py - y[j]) * (py - y[j]);
     const bool second = r[1] < r[0];
@@ -45,23 +38,42 @@ struct Triangle {
   }
 };
 
+// Its disparities, as in cpp/prior.cpp in double precision.
+struct Plane {
+  double d0, slope_x, slope_y;
+  bool bridges_edge;
+
+  __device__ Plane(const Corners& c, double max_step) : d0(c.d[0]) {
+    const double d1 = c.d[1], d2 = c.d[2];
+    slope_x = ((d1 - d0) * (c.y[2] - c.y[0]) - (d2 - d0) * (c.y[1] - c.y[0])) / c.area;
+    slope_y = ((d2 - d0) * (c.x[1] - c.x[0]) - (d1 - d0) * (c.x[2] - c.x[0])) / c.area;
+    const double high = d0 > d1 ? d0 : d1, low = d0 < d1 ? d0 : d1;
+    bridges_edge = (high > d2 ? high : d2) - (low < d2 ? low : d2) > max_step;
+  }
+  __device__ double at(const Corners& c, int px, int py) const {
+    return bridges_edge ? c.nearest(px, py) : d0 + slope_x * (px - c.x[0]) + slope_y * (py - c.y[0]);
+  }
+};
+
 // owners uint64 [H, W], all ones before: of the first triangle (points float [N, 3], triangles int32 [T, 3])
-// that covers a pixel its number, and below it the plane's disparity there in eighths of a pixel. A block of
-// 16 x 8 per triangle.
-extern "C" __global__ void __launch_bounds__(kTrianglesX* kTrianglesY)
-    plane_means(const float* __restrict__ points, const int32_t* __restrict__ triangles, int width,
+// that covers a pixel its number, and below it the plane's disparity there in eighths of a pixel. Blocks of 8
+// x 4 x 4: a warp per triangle, in the rows of band blockIdx.y.
+extern "C" __global__ void __launch_bounds__(kAcross * kDown * kTriangles)
+    plane_means(const float* __restrict__ points, const int32_t* __restrict__ triangles, int count, int width,
                 double max_step, unsigned long long* __restrict__ owners) {
-  const unsigned t = blockIdx.x;
-  const Triangle triangle(points, triangles + 3 * static_cast<size_t>(t), max_step);
-  if (triangle.area == 0) return;
-  const int left = min(triangle.x[0], min(triangle.x[1], triangle.x[2]));
-  const int right = max(triangle.x[0], max(triangle.x[1], triangle.x[2]));
-  const int top = min(triangle.y[0], min(triangle.y[1], triangle.y[2]));
-  const int bottom = max(triangle.y[0], max(triangle.y[1], triangle.y[2]));
-  for (int y = top + static_cast<int>(threadIdx.y); y <= bottom; y += kTrianglesY)
-    for (int x = left + static_cast<int>(threadIdx.x); x <= right; x += kTrianglesX) {
-      if (!triangle.covers(x, y)) continue;
-      const int mean = static_cast<int>(floor(8.0 * triangle.at(x, y) + 0.5));
+  const int t = blockIdx.x * kTriangles + threadIdx.z, band = blockIdx.y * kBand;
+  if (t >= count) return;
+  const Corners corners(points, triangles + 3 * static_cast<size_t>(t));
+  const int top = max(band, min(corners.y[0], min(corners.y[1], corners.y[2])));
+  const int bottom = min(band + kBand - 1, max(corners.y[0], max(corners.y[1], corners.y[2])));
+  if (top > bottom || corners.area == 0) return;
+  const int left = min(corners.x[0], min(corners.x[1], corners.x[2]));
+  const int right = max(corners.x[0], max(corners.x[1], corners.x[2]));
+  const Plane plane(corners, max_step);
+  for (int y = top + static_cast<int>(threadIdx.y); y <= bottom; y += kDown)
+    for (int x = left + static_cast<int>(threadIdx.x); x <= right; x += kAcross) {
+      if (!corners.covers(x, y)) continue;
+      const int mean = static_cast<int>(floor(8.0 * plane.at(corners, x, y) + 0.5));
       atomicMin(owners + static_cast<size_t>(y) * width + x,
                 static_cast<unsigned long long>(t) << 32 | static_cast<uint32_t>(mean));
     }
@@ -109,12 +121,12 @@ extern "C" __global__ void __launch_bounds__(256)
   const int row = static_cast<int>(p[1]) / kCellRows + t % 9 / 3 - 1;
   const int column = static_cast<int>(p[0]) / kCellColumns + t % 3 - 1;
   if (row < 0 || row >= rows || column < 0 || column >= columns) return;
+  const Grid grid{first, step, count};
   const float d = p[2];
   const int nearest = floor_int((8.0f * d - static_cast<float>(first)) / static_cast<float>(step));
   const int around = static_cast<int>(8.0f * radius / static_cast<float>(step)) + 2;
   uint8_t* cell = cells + (static_cast<size_t>(row) * columns + column) * count;
   for (int i = max(0, nearest - around); i < min(count, nearest + around + 1); ++i) {
-    const float value = (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(i)) / 8.0f;
-    if (fabsf(value - d) <= radius) cell[i] = 1;
+    if (fabsf(grid.value(i) - d) <= radius) cell[i] = 1;
   }
 }

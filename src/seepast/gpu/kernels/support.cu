@@ -1,5 +1,6 @@
 // Stage "support": textured, unique, left-right consistent matches of grid points between neighbouring
 // cameras, refined over all static rays, in the reference. One warp per point.
+#include "grid.h"
 #include "rays.h"
 
 using namespace seepast;
@@ -121,21 +122,46 @@ static __device__ uint64_t rank(float variance, unsigned order) {
   return static_cast<uint64_t>(__float_as_uint(variance)) << 32 | order;
 }
 
+// Where points of other cameras are of use in the reference: where it is blind. seeing [H, W]: pixels that it
+// sees, as all others within `reach` px, at least 3.
+struct Targets {
+  const uint8_t* seeing;
+  int reach, height, width;
+
+  __device__ bool near(int x, int y) const {
+    return !seeing[clamp(y, 0, height - 1) * width + clamp(x, 0, width - 1)];
+  }
+  // False only if no disparity between the two takes the point of the view there; the same in all lanes. On
+  // its way it is looked for every so many pixels, two less than the reach, which rounding may take.
+  __device__ bool reachable(const View& view, int reference, Point p, float farthest, float nearest) const {
+    const Point a = landing(view, reference, p, farthest), b = landing(view, reference, p, nearest);
+    if (abs(b.y - a.y) > reach - 2) return true;  // too crooked an array to say from one row
+    const int first = min(a.x, b.x), last = max(a.x, b.x);
+    bool found = false;
+    for (int x = first + static_cast<int>(threadIdx.x) * (reach - 2); x < last + reach - 2;
+         x += 32 * (reach - 2))
+      found |= near(min(x, last), (a.y + b.y) / 2);
+    return __any_sync(kAllLanes, found);
+  }
+};
+
 // Blocks of 32 x 4 threads: four grid points in a row of camera blockIdx.z.
 //   descriptors [K, H, W] of 16 bytes; clear, is_static [K, H, W]; near [H, W], or anything if not use_near
+//   seeing, reach: of Targets
 //   offsets [K, K, 5] and centers [K, 2]: the array as seen from every camera
-//   pairs int32 [K, 4]: the neighbour, candidates there and back, steps of refinement either way; spacing [K,
-//   2] px of the candidates there and back; disparities are (first + i * step) / 8, i < count
+//   pairs int32 [K, 4]: the neighbour, candidates there and back, steps of refinement either way
+//   spacing [K, 2] px of the candidates there and back; disparities are (first + i * step) / 8, i < count
 // Out: found [K, rows, columns] of (x, y, d, -) in the reference, where there is a point, and per bin of
 // `grid` px of the reference the least rank of its points, bins [rows, columns], which the caller fills with
 // ones.
 extern "C" __global__ void __launch_bounds__(32 * kPoints)
     support(const uint4* __restrict__ descriptors, const uint8_t* __restrict__ clear,
             const uint8_t* __restrict__ is_static, const uint8_t* __restrict__ near, int use_near,
-            const float* __restrict__ offsets, const float* __restrict__ centers,
-            const int32_t* __restrict__ pairs, const float* __restrict__ spacing, int cameras, int height,
-            int width, int reference, int grid, int rows, int columns, int texture_needed, int left_right,
-            float uniqueness, float max_cost, int first, int step, int count, float4* __restrict__ found,
+            const uint8_t* __restrict__ seeing, int reach, const float* __restrict__ offsets,
+            const float* __restrict__ centers, const int32_t* __restrict__ pairs,
+            const float* __restrict__ spacing, int cameras, int height, int width, int reference, int grid,
+            int rows, int columns, int texture_needed, int left_right, float uniqueness, float max_cost,
+            int first, int step, int count, float4* __restrict__ found,
             unsigned long long* __restrict__ bins) {
   const int base = blockIdx.z, i = blockIdx.x * kPoints + threadIdx.y, j = blockIdx.y;
   const Point p{i * grid, j * grid};
@@ -144,10 +170,15 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
   const uint4* own = descriptors + base * pixels;
   if (!clear[base * pixels + at] || texture(own[at]) < texture_needed) return;
   if (use_near && base == reference && !near[at]) return;
+  const View view{offsets + base * cameras * kOffsets, centers[2 * base], centers[2 * base + 1]};
+  const Grid disparities{first, step, count};
+  const Targets targets{seeing, reach, height, width};
+  if (base != reference &&
+      !targets.reachable(view, reference, p, disparities.value(0), disparities.value(count - 1)))
+    return;
   const int partner = pairs[4 * base], refinements = pairs[4 * base + 3];
   const float farthest = static_cast<float>(first) / 8.0f;
   const Sureness need{uniqueness, max_cost};
-  const View view{offsets + base * cameras * kOffsets, centers[2 * base], centers[2 * base + 1]};
   const View back_view{offsets + partner * cameras * kOffsets, centers[2 * partner],
                        centers[2 * partner + 1]};
   const uint4* theirs = descriptors + partner * pixels;
@@ -157,6 +188,14 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
   const int there = best_match(forth, p, height, width, need);
   if (there < 0) return;
   const float matched = farthest + forth.step * static_cast<float>(there);
+  // what refinement chooses from: the candidates of the grid near that
+  const int nearest =
+      floor_int((matched * 8.0f - static_cast<float>(first)) / static_cast<float>(step) + 0.5f);
+  const int low = clamp(nearest - refinements, 0, count - 1),
+            high = clamp(nearest + refinements, 0, count - 1);
+  if (base != reference &&
+      !targets.reachable(view, reference, p, disparities.value(low), disparities.value(high)))
+    return;
   const Point q = landing(view, partner, p, matched);
   const Search back{back_view, base, pairs[4 * base + 2],  farthest, spacing[2 * base + 1],
                     theirs,    own,  clear + base * pixels};
@@ -165,21 +204,17 @@ extern "C" __global__ void __launch_bounds__(32 * kPoints)
   const Point home = landing(back_view, base, q, farthest + back.step * static_cast<float>(again));
   if (abs(home.x - p.x) > left_right) return;
 
-  // the candidate of the grid near that which has the least variance over all static rays, the farthest of
-  // equals
-  const int nearest =
-      floor_int((matched * 8.0f - static_cast<float>(first)) / static_cast<float>(step) + 0.5f);
-  const int last = min(count - 1, nearest + refinements);
-  int best = kNone, lowest = kInfinity;
-  for (int c = max(0, nearest - refinements) + static_cast<int>(threadIdx.x); c <= last; c += 32) {
-    const float d = (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(c)) / 8.0f;
-    const int variance = __float_as_int(ray_variance(view, descriptors, clear, cameras, height, width, p, d));
+  int best = kNone,
+      lowest = kInfinity;  // that of least variance over all static rays, the farthest of equals
+  for (int c = low + static_cast<int>(threadIdx.x); c <= high; c += 32) {
+    const int variance = __float_as_int(
+        ray_variance(view, descriptors, clear, cameras, height, width, p, disparities.value(c)));
     if (variance < lowest) lowest = variance, best = c;
   }
   lowest_of_warp(lowest, best);
   if (threadIdx.x != 0) return;
   if (best == kNone) best = clamp(nearest, 0, count - 1);
-  float d = (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(best)) / 8.0f;
+  float d = disparities.value(best);
   Point in_reference = p;
   if (base != reference) {  // only where the reference is blind
     in_reference = landing(view, reference, p, d);
