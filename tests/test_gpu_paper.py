@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from arrays import Scene, make_scene, noise_scene
-from cuda_on_cpu import EmulatedDevice
+from cuda_on_cpu import EmulatedDevice, StrictDevice
 from seepast import confidence
 from seepast.backends import cpu, cuda, reference
 from seepast.candidates import DisparityGrid, Prior
@@ -389,13 +389,15 @@ def test_a_round_takes_few_launches(emulated):
 @pytest.mark.parametrize("name", ["3, middle, residual", "5, last, no-ray borders", "noise", "all dynamic"])
 def test_the_whole_method(name, dynamic_only):
     """All rounds on the GPU, with what lies between the stages."""
-    this = case(name)
-    frame = Frame(this.scene.colour, this.scene.grey, this.scene.dynamic)
+    this, used = case(name), StrictDevice()
+    views = this.scene.colour, this.scene.grey, this.scene.dynamic
     options = OPTIONS.updated({"segmentation.max_rounds": 4, "segmentation.beta": 0.002})
-    (expected, rounds), (found, same) = (
-        see_past(frame, this.geometry, options, backend, dynamic_only, Clock()) for backend in (cpu, cuda)
-    )
+    expected, rounds = see_past(Frame(*views), this.geometry, options, cpu, dynamic_only, Clock())
+    with device.use(used):
+        frame = Frame(*(used.upload(view) for view in views))
+        found, same = see_past(frame, this.geometry, options, cuda, dynamic_only, Clock())
+        found = cuda.download(found)
     assert rounds == same
     assert expected.keys() == found.keys()
     for part in expected:
-        assert_same([expected[part], cuda.download(found[part])])
+        assert_same([expected[part], found[part]])
