@@ -163,7 +163,7 @@ struct Step {
 template <typename Way>
 __device__ inline void walk(const View& v, const Line& line, unsigned small,
                             const uint16_t* __restrict__ large, int dynamic, Way* __restrict__ ways,
-                            uint32_t* __restrict__ path_costs, int pitch) {
+                            uint32_t* path_costs, int pitch) {
   const int lane = threadIdx.x % kLanes, half = lane / (kChunk / 2), steps = line.steps();
   const int first_entry = 2 * (lane % (kChunk / 2)) + kGuard;
   const uint8_t* const costs = v.costs + 2 * lane;  // a lane's chunk is the first or the second

@@ -9,8 +9,8 @@ constexpr int kReach = 3;  // of the census
 constexpr int kNeighbours = 24;
 constexpr unsigned kAllNeighbours = (1u << kNeighbours) - 1;
 
-// A sample of a camera is two words: the census; and B, G, R, and these. valid is the neighbours that are
-// static, at whole positions and at fractional ones.
+// A sample of a camera is two words: the census; and B, G, R, and these. `valid` has the bits of neighbours
+// that are static.
 constexpr unsigned kStatic = 1u << 24;  // every pixel that the sample lies between is static
 constexpr unsigned kClear = 2u << 24;   // and so is every neighbour
 

@@ -61,9 +61,10 @@ __device__ inline Ray ray_at(const Cameras& c, const Shift* __restrict__ shift, 
   const float4* words = reinterpret_cast<const float4*>(shift);
   const float4 s = words[0], more = words[1];
   const RayShift r{s.x, s.y, s.z, s.w, more.x};
-  // times four is exact, so that this is quarter_offset
-  const int quarter = 4 * x + __float2int_rd(__fmaf_rn(4.0f, ray_dx(r, x, c.cx), 0.5f));
-  const int row = y + __float2int_rd(ray_dy(r, y, c.cy) + 0.5f);
+  // Times four is exact, so that this is quarter_offset. Sums of what is far outside wrap, and stay outside.
+  const unsigned dx = __float2int_rd(__fmaf_rn(4.0f, ray_dx(r, x, c.cx), 0.5f));
+  const unsigned dy = __float2int_rd(ray_dy(r, y, c.cy) + 0.5f);
+  const int quarter = static_cast<int>(4u * x + dx), row = static_cast<int>(y + dy);
   const int column = quarter >> 2;
   const bool there = static_cast<unsigned>(column) < static_cast<unsigned>(c.width) &&
                      static_cast<unsigned>(row) < static_cast<unsigned>(c.height) && wanted;
@@ -126,25 +127,28 @@ struct SmallerHalf {
   }
 };
 
-// Costs of one ray with several: 96 hamming / n + min(mean colour step, cap); kNoPair unless both are static.
-template <int kPairs, int kSlots>
-__device__ inline void add_pairs(const Cameras& c, const Ray& one, const Ray* several,
+// Costs of one ray with `count` others: 96 hamming / n + min(mean colour step, cap); kNoPair unless both are
+// static.
+template <int kMost, int kSlots>
+__device__ inline void add_pairs(const Cameras& c, const Ray& one, const Ray* several, int count,
                                  SmallerHalf<kSlots>& costs) {
-  unsigned found[kPairs];
+  unsigned found[kMost];
   bool unclear = false;
 #pragma unroll
-  for (int i = 0; i < kPairs; ++i) {
+  for (int i = 0; i < kMost; ++i) {
+    if (i >= count) continue;
     found[i] = clear_cost(c, one, several[i]);
     unclear = unclear || is_unclear(one, several[i]);
   }
   if (unclear) {
 #pragma unroll
-    for (int i = 0; i < kPairs; ++i)
-      if (is_unclear(one, several[i]))
+    for (int i = 0; i < kMost; ++i)
+      if (i < count && is_unclear(one, several[i]))
         found[i] = unclear_census(c, one, several[i]) + colour_cost(c, one, several[i]);
   }
 #pragma unroll
-  for (int i = 0; i < kPairs; ++i) costs.add(found[i], one.colour & several[i].colour & kStatic);
+  for (int i = 0; i < kMost; ++i)
+    if (i < count) costs.add(found[i], one.colour & several[i].colour & kStatic);
 }
 
 // What one candidate costs a pixel that the view sees itself: its own ray with every other.
@@ -159,34 +163,48 @@ __device__ inline unsigned own_cost(const Cameras& c, const Ray& own, const Shif
     Ray rays[kAtOnce];
 #pragma unroll
     for (int i = 0; i < kAtOnce; ++i) rays[i] = ray_at(c, shifts + first + i, x, y, first + i < c.count - 1);
-    add_pairs<kAtOnce>(c, own, rays, costs);
+    add_pairs<kAtOnce>(c, own, rays, kAtOnce, costs);
   }
   return costs.mean();
 }
 
-// And one that it does not: all others' rays, each with the kWindow cameras before it (many.py camera_pairs).
-template <int kSlots, int kWindow>
-__device__ inline unsigned others_cost(const Cameras& c, int view, const Shift* __restrict__ shifts, int x,
-                                       int y, bool& any) {
+// And one that it does not: all pairs of the others' rays ...
+template <int kOthers, int kSlots>
+__device__ inline unsigned others_cost(const Cameras& c, const Shift* __restrict__ shifts, int x, int y,
+                                       bool& any) {
   SmallerHalf<kSlots> costs;
   costs.clear();
-  Ray before[kWindow];
+  Ray rays[kOthers];
+  any = false;
 #pragma unroll
-  for (int w = 0; w < kWindow; ++w) before[w] = {0, 0, 0};
+  for (int i = 0; i < kOthers; ++i) {
+    rays[i] = ray_at(c, shifts + i, x, y, i < c.count - 1);
+    any = any || rays[i].colour & kStatic;
+  }
+#pragma unroll
+  for (int i = 1; i < kOthers; ++i) add_pairs<kOthers - 1>(c, rays[i], rays, i, costs);
+  return costs.mean();
+}
+
+// ... or, of more than six cameras, those that are at most two apart (many.py camera_pairs).
+template <int kSlots>
+__device__ inline unsigned others_cost_of_many(const Cameras& c, int view, const Shift* __restrict__ shifts,
+                                               int x, int y, bool& any) {
+  SmallerHalf<kSlots> costs;
+  costs.clear();
+  Ray before[2] = {{0, 0, 0}, {0, 0, 0}};
   any = false;
 #pragma unroll 1
   for (int k = 0; k < c.count; ++k) {
     const Ray ray = ray_at(c, shifts + k - (k > view), x, y, k != view);
     any = any || ray.colour & kStatic;
-    add_pairs<kWindow>(c, ray, before, costs);
-#pragma unroll
-    for (int w = kWindow - 1; w > 0; --w) before[w] = before[w - 1];
-    before[0] = ray;
+    add_pairs<2>(c, ray, before, 2, costs);
+    before[1] = before[0], before[0] = ray;
   }
   return costs.mean();
 }
 
-template <int kOthers, int kOwnSlots, int kSlots, int kWindow>
+template <int kOthers, int kOwnSlots, int kSlots>
 __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addresses, int view, int slices,
                              unsigned lone, unsigned unseen) {
   const int x = blockIdx.x * kColumns + threadIdx.x, y = blockIdx.y * kRows + threadIdx.y;
@@ -210,8 +228,13 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
 #pragma unroll 1
       for (int i = 0; i < 4; ++i, shifts += c.count) {
         bool any = true;
-        unsigned cost = sees ? own_cost<kOthers, kOwnSlots>(c, own, shifts, x, y)
-                             : others_cost<kSlots, kWindow>(c, view, shifts, x, y, any);
+        unsigned cost;
+        if (sees)
+          cost = own_cost<kOthers, kOwnSlots>(c, own, shifts, x, y);
+        else if constexpr (kOthers < 6)
+          cost = others_cost<kOthers, kSlots>(c, shifts, x, y, any);
+        else
+          cost = others_cost_of_many<kSlots>(c, view, shifts, x, y, any);
         if (cost == kNoPair) cost = any ? lone : unseen;
         word = __funnelshift_r(word, cost, 8);
       }
@@ -233,7 +256,7 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
       const uint64_t *__restrict__ addresses, const int32_t *__restrict__ which,                             \
       const float *__restrict__ centres, const float *__restrict__ shifts, int candidates, int slices,       \
       const uint8_t *__restrict__ census_scale, int few, int colour_cap, int lone, int unseen
-#define SEEPAST_MATCH(others, own_slots, slots, window)                                                   \
+#define SEEPAST_MATCH(others, own_slots, slots)                                                           \
   const int n = blockIdx.z / slices;                                                                      \
   const Cameras c{samples,                                                                                \
                   valid,                                                                                  \
@@ -246,21 +269,21 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
                   centres[2 * n + 1],                                                                     \
                   static_cast<unsigned>(few),                                                             \
                   static_cast<unsigned>(colour_cap)};                                                     \
-  match<others, own_slots, slots, window>(c, addresses + 3 * n, which[n], slices, lone, unseen)
+  match<others, own_slots, slots>(c, addresses + 3 * n, which[n], slices, lone, unseen)
 
 // For arrays of up to 5 cameras: 4 pairs with the view's own ray, 6 without it.
 extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_5(SEEPAST_MATCHED) {
-  SEEPAST_MATCH(4, 2, 3, 4);
+  SEEPAST_MATCH(4, 2, 3);
 }
 // Of 6: 5 and 10.
 extern "C" __global__ void __launch_bounds__(kThreads, 3) volume_6(SEEPAST_MATCHED) {
-  SEEPAST_MATCH(5, 3, 5, 5);
+  SEEPAST_MATCH(5, 3, 5);
 }
 // Of 7 to 9: 8 and 13, which are never more than two cameras apart.
 extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_9(SEEPAST_MATCHED) {
-  SEEPAST_MATCH(8, 4, 7, 2);
+  SEEPAST_MATCH(8, 4, 7);
 }
 // Of 10 to 16: 15 and 27.
 extern "C" __global__ void __launch_bounds__(kThreads, 3) volume_16(SEEPAST_MATCHED) {
-  SEEPAST_MATCH(15, 8, 14, 2);
+  SEEPAST_MATCH(15, 8, 14);
 }
