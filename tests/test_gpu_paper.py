@@ -105,6 +105,19 @@ def test_support_on_a_grid_of_more_candidates_than_lanes():
     assert len(this.support(cuda)) > 20
 
 
+@pytest.mark.parametrize("period", [31, 32, 33, 64])
+def test_support_on_a_pattern_that_comes_again(period):
+    """As far away as a warp has lanes, so that one lane has the match and its rival."""
+    scene = make_scene(2, (150, 40), masks="none")
+    row = np.random.default_rng(period).integers(0, 256, (40, period), np.uint8)
+    for k in range(2):
+        scene.views[k] = np.roll(np.tile(row, (1, 6)), -12 * k, axis=1)[:, :150]
+    this = Case(scene)
+    this.grid = DisparityGrid.of(OPTIONS.updated({"range.max_disparity": 100}).range, 150)
+    features_of(this)
+    both(lambda backend: this.support(backend, **{"support.min_agreeing": 0}))
+
+
 @pytest.mark.parametrize("share", [0, 0.02, 1])
 def test_support_near_what_is_wanted(share):
     this = case("5, step")
