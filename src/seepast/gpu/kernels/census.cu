@@ -13,10 +13,14 @@ __device__ inline int weighted(const int32_t* w, int a, int b, int c, int d) {
   return w[0] * a + w[1] * b + w[2] * c + w[3] * d;
 }
 
+__device__ inline int within(int v, int most) { return min(max(v, 0), most); }
+__device__ inline int low(unsigned word) { return word & 0xffff; }
+__device__ inline int high(unsigned word) { return word >> 16; }
+
 // One view's part of the image that a tile needs, brought into shared memory.
 struct Tile {
   int bright[kSpanY][kBrightX];  // luma of the pixels, column x at x + kReach + 1; edges repeat
-  ushort4 luma[kSpanY][kSpanX];  // of the samples at phases 0..3; 0 outside the image
+  uint2 luma[kSpanY][kSpanX];    // of the samples at phases 0..3, 16 bits each; 0 outside the image
   uint8_t open[kSpanY][kSpanX];  // bit 0: the pixel is static; bit 1: so is the one right of it
 };
 
@@ -41,15 +45,14 @@ __device__ inline bool sample(Tile& tile, const uint8_t* __restrict__ is_static,
   bool all = true;
   for (int i = thread; i < kSpanY * kSpanX; i += kColumns * kRows) {
     const int j = i / kSpanX, column = i % kSpanX, x = left + column - kReach, y = top + j - kReach;
-    ushort4 found = {0, 0, 0, 0};
+    uint2 found = make_uint2(0, 0);
     int open = 0;
     if (x >= 0 && x < width && y >= 0 && y < height) {
       const int* b = tile.bright[j] + column;
-      const auto at = [&](int phase) {
-        return static_cast<unsigned short>(
-            clamp((weighted(cubic + 4 * phase, b[0], b[1], b[2], b[3]) + 64) >> 7, 0, 65535));
+      const auto at = [&](int phase) -> unsigned {
+        return within((weighted(cubic + 4 * phase, b[0], b[1], b[2], b[3]) + 64) >> 7, 65535);
       };
-      found = {at(0), at(1), at(2), at(3)};
+      found = make_uint2(at(0) | at(1) << 16, at(2) | at(3) << 16);
       const uint8_t* here = is_static + static_cast<size_t>(y) * width + x;
       if (here[0]) open = x + 1 < width && here[1] ? 3 : 1;
     }
@@ -60,13 +63,23 @@ __device__ inline bool sample(Tile& tile, const uint8_t* __restrict__ is_static,
   return all;
 }
 
+// The neighbours (dy, dx) of many.py REACH, from the last to the first.
+template <typename Use>
+__device__ inline void for_each_neighbour(Use use) {
+#pragma unroll
+  for (int dy = kReach; dy >= -kReach; --dy)
+#pragma unroll
+    for (int dx = kReach; dx >= -kReach; --dx)
+      if ((dy + dx) % 2 == 0 && (dy != 0 || dx != 0)) use(dy, dx);
+}
+
 // B, G, R of the sample at x + phase / 4, from the four pixels around it.
 __device__ inline unsigned colour_at(const int32_t* __restrict__ w, const uint8_t* a, const uint8_t* b,
                                      const uint8_t* c, const uint8_t* d) {
   unsigned found = 0;
 #pragma unroll
   for (int i = 0; i < 3; ++i)
-    found |= static_cast<unsigned>(clamp((weighted(w, a[i], b[i], c[i], d[i]) + 64) >> 7, 0, 255)) << 8 * i;
+    found |= static_cast<unsigned>(within((weighted(w, a[i], b[i], c[i], d[i]) + 64) >> 7, 255)) << 8 * i;
   return found;
 }
 
@@ -90,27 +103,26 @@ extern "C" __global__ void __launch_bounds__(kColumns* kRows)
   const int x = left + threadIdx.x, y = top + threadIdx.y;
   if (x >= width || y >= height) return;
   const int column = threadIdx.x + kReach, row = threadIdx.y + kReach;
-  const ushort4 mid = tile.luma[row][column];
-  unsigned darker[4] = {0, 0, 0, 0}, whole = kAllNeighbours, between = kAllNeighbours;
-  if (!all_open) whole = between = 0;
-  int bit = 0;
-#pragma unroll
-  for (int dy = -kReach; dy <= kReach; ++dy)
-#pragma unroll
-    for (int dx = -kReach; dx <= kReach; ++dx) {
-      if ((dy + dx) % 2 != 0 || (dy == 0 && dx == 0)) continue;
-      const ushort4 a = tile.luma[row + dy][column + dx];
-      darker[0] |= static_cast<unsigned>(a.x < mid.x) << bit;
-      darker[1] |= static_cast<unsigned>(a.y < mid.y) << bit;
-      darker[2] |= static_cast<unsigned>(a.z < mid.z) << bit;
-      darker[3] |= static_cast<unsigned>(a.w < mid.w) << bit;
-      if (!all_open) {
-        const unsigned flags = tile.open[row + dy][column + dx];
-        whole |= (flags & 1) << bit;
-        between |= (flags >> 1) << bit;
-      }
-      ++bit;
-    }
+  const uint2 mid = tile.luma[row][column];
+  const int mids[4] = {low(mid.x), high(mid.x), low(mid.y), high(mid.y)};
+  unsigned darker[4] = {0, 0, 0, 0};
+  // from the last neighbour to the first: the sign of every difference is shifted in from the right
+  for_each_neighbour([&](int dy, int dx) {
+    const uint2 a = tile.luma[row + dy][column + dx];
+    darker[0] = __funnelshift_l(low(a.x) - mids[0], darker[0], 1);
+    darker[1] = __funnelshift_l(high(a.x) - mids[1], darker[1], 1);
+    darker[2] = __funnelshift_l(low(a.y) - mids[2], darker[2], 1);
+    darker[3] = __funnelshift_l(high(a.y) - mids[3], darker[3], 1);
+  });
+  unsigned whole = kAllNeighbours, between = kAllNeighbours;
+  if (!all_open) {
+    whole = between = 0;
+    for_each_neighbour([&](int dy, int dx) {
+      const unsigned flags = tile.open[row + dy][column + dx];
+      whole = whole << 1 | (flags & 1);
+      between = between << 1 | flags >> 1;
+    });
+  }
 
   const size_t at = static_cast<size_t>(y) * width + x;
   const unsigned own = tile.open[row][column];
