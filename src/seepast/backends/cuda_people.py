@@ -176,7 +176,8 @@ def field(u, colour, surfaces, costs: FieldCosts, stride: int):
     change, total = xp.empty((4, K, h, w), np.int16), xp.empty((K, h, w), np.int32)
     launch_tiles(
         "people_field", "change_costs", u.shape, colour, surfaces, constant(costs.contrast),
-        np.int32(len(costs.contrast)), np.float32(costs.depth_step), *int32(costs.cut, colour.shape[-1], *surfaces.shape[1:], stride), change,
+        np.int32(len(costs.contrast)), np.float32(costs.depth_step),
+        *int32(costs.cut, colour.shape[-1], *surfaces.shape[1:], stride), change,
     )  # fmt: skip
     device.current().launch(
         "people_field", "along_rows", grid=(-(-K * h // 8),), block=(256,), args=[u, change, *int32(K * h, w), total]
