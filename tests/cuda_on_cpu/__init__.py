@@ -9,7 +9,8 @@ import re
 import subprocess
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -69,8 +70,34 @@ class EmulatedDevice:
     def download(self, array: Any) -> Any:
         return array
 
+    def keep(self, array: Any) -> Any:
+        return self.upload(array)
+
+    def fetch(self, array: Any) -> Any:
+        return self.download(array).copy()
+
     def synchronize(self) -> None:
         pass
+
+    @contextmanager
+    def lane(self, name: str) -> Iterator[None]:
+        yield
+
+    def mark(self) -> None:
+        pass
+
+    def after(self, mark: None) -> None:
+        pass
+
+    def wait(self, mark: None) -> None:
+        pass
+
+    def adopt(self, array: Any) -> Any:
+        return array.host
+
+    @contextmanager
+    def faults(self) -> Iterator[None]:
+        yield
 
 
 class StrictDevice(EmulatedDevice):
@@ -90,6 +117,9 @@ class StrictDevice(EmulatedDevice):
 
     def download(self, array: Any) -> Any:
         return array.host.copy()
+
+    def adopt(self, array: Any) -> Any:
+        return strict.Array(array.host)
 
 
 def _three(what: str, size: Sequence[int]) -> tuple[int, int, int]:

@@ -20,8 +20,9 @@ SHARED = Path(__file__).parents[3] / "cpp"  # of a checkout; what is installed h
 OPTIONS = ("--std=c++17", "--fmad=false", "--device-as-default-execution-space")
 STANDARD = {  # what the shared headers include of the host's library
     "cstdint": "#pragma once\n"
-    "typedef signed char int8_t; typedef unsigned char uint8_t; typedef short int16_t; typedef unsigned short uint16_t;\n"
-    "typedef int int32_t; typedef unsigned int uint32_t; typedef long long int64_t; typedef unsigned long long uint64_t;\n"
+    "typedef signed char int8_t; typedef short int16_t; typedef int int32_t; typedef long long int64_t;\n"
+    "typedef unsigned char uint8_t; typedef unsigned short uint16_t; typedef unsigned int uint32_t;\n"
+    "typedef unsigned long long uint64_t;\n"
     "typedef decltype(sizeof(0)) size_t;\n",
 }
 _said, _one = False, Lock()

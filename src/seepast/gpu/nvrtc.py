@@ -72,8 +72,8 @@ def compiler(major: int) -> Compiler:
         except OSError:
             continue
     raise BackendError(
-        f"backend 'cuda' finds no compiler libnvrtc.so.{major}: pip install 'seepast[cuda{major}]', or set CUDA_HOME to "
-        "an installed toolkit"
+        f"backend 'cuda' finds no compiler libnvrtc.so.{major}: pip install 'seepast[cuda{major}]', or set CUDA_HOME "
+        "to an installed toolkit"
     )
 
 
