@@ -6,6 +6,8 @@ worked out on the CPU (people.py), where logarithms are the same for all backend
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..geometry import ArrayGeometry
@@ -92,8 +94,8 @@ def border_counts(share, mean, surfaces, thresholds: np.ndarray, step: float, st
     rank = (np.arange(SHARE + 1)[:, None] > thresholds).sum(1).astype(np.uint8)
     totals = device.current().xp.zeros((4, len(thresholds) + 1), np.int64)
     launch_tiles(
-        "people", "border_counts", share.shape, share, mean, surfaces, constant(rank), np.int32(len(thresholds)),
-        np.float32(step), *int32(*surfaces.shape[1:], stride), totals, shared=4 * totals.size,
+        "people", "border_counts", share.shape, share, mean, surfaces, device.current().upload(rank),
+        np.int32(len(thresholds)), np.float32(step), *int32(*surfaces.shape[1:], stride), totals, shared=4 * totals.size,
     )  # fmt: skip
     return device.current().download(totals).cumsum(1)[:, :-1]
 
@@ -197,12 +199,18 @@ def probability(belief, dynamic, table: np.ndarray, grow: bool):
 
 
 def _views(geometry: ArrayGeometry):
-    return views_table([geometry.seen_from(k) for k in range(geometry.cameras)])
+    return views_table(_seen_from_all(geometry))
+
+
+@lru_cache(maxsize=64)
+def _seen_from_all(geometry: ArrayGeometry) -> list[ArrayGeometry]:
+    """The same objects for every frame: their tables are kept by them."""
+    return [geometry.seen_from(k) for k in range(geometry.cameras)]
 
 
 def _cells(cells: Cells) -> list:
     places = np.concatenate([cells.low, np.divide(1, cells.size), cells.last]).astype(np.float32)
-    return [constant(places), *int32(*cells.count)]
+    return [device.current().upload(places), *int32(*cells.count)]
 
 
 def _lattice(plane, stride: int) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..geometry import ArrayGeometry
 from . import device
-from .tables import constant
+from .tables import views_table
 
 ACROSS, DOWN = 32, 8  # threads of a block
 
@@ -31,5 +31,5 @@ def int32(*values: int) -> list[np.int32]:
 
 
 def view_table(view: ArrayGeometry) -> tuple[Any, np.float32, np.float32]:
-    """The array as seen from one camera: offsets float32 [K, 5] on the device, and the view's centre."""
-    return constant(view.offsets), np.float32(view.center[0]), np.float32(view.center[1])
+    """The array as seen from one camera: offsets float32 [1, K, 5] on the device, and the view's centre."""
+    return views_table([view])[0], np.float32(view.center[0]), np.float32(view.center[1])

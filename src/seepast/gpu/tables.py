@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from functools import lru_cache
 from threading import Lock
 from typing import Any
 
@@ -24,7 +25,7 @@ def constant(values: np.ndarray) -> Any:
     key = here, values.dtype.str, values.shape, values.tobytes()
     with _one:
         if key not in _tables:
-            _tables[key] = here.upload(np.ascontiguousarray(values))
+            _tables[key] = here.keep(values)
         _tables.move_to_end(key)
         while len(_tables) > KEPT:
             _tables.popitem(last=False)
@@ -49,5 +50,10 @@ def addresses(arrays: Sequence[Sequence[Any]]) -> Any:
 
 def views_table(views: Sequence[ArrayGeometry]) -> tuple[Any, Any]:
     """The array as seen from each of V cameras: offsets float32 [V, K, 5] and centers float32 [V, 2] on the device."""
+    return _views_table(device.current(), tuple(views))
+
+
+@lru_cache(maxsize=64)
+def _views_table(here: device.Device, views: tuple[ArrayGeometry, ...]) -> tuple[Any, Any]:
     offsets = np.stack([view.offsets for view in views])
-    return constant(offsets), constant(np.array([view.center for view in views], np.float32))
+    return here.keep(offsets), here.keep(np.array([view.center for view in views], np.float32))
