@@ -95,7 +95,8 @@ def border_counts(share, mean, surfaces, thresholds: np.ndarray, step: float, st
     totals = device.current().xp.zeros((4, len(thresholds) + 1), np.int64)
     launch_tiles(
         "people", "border_counts", share.shape, share, mean, surfaces, device.current().upload(rank),
-        np.int32(len(thresholds)), np.float32(step), *int32(*surfaces.shape[1:], stride), totals, shared=4 * totals.size,
+        np.int32(len(thresholds)), np.float32(step), *int32(*surfaces.shape[1:], stride), totals,
+        shared=4 * totals.size,
     )  # fmt: skip
     return device.current().download(totals).cumsum(1)[:, :-1]
 
