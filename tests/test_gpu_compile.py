@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import sys
 from types import SimpleNamespace
 
@@ -52,6 +53,14 @@ def test_spills_are_read_from_the_compilers_report() -> None:
     assert usage(log)["many"].spilled > 0
     assert usage("ptxas info    : Compiling entry function 'a' for 'sm_90'\nptxas info    : Used 18 registers, used 1 "
                  "barriers, 16 bytes smem") == {"a": Usage(18, 0, 0, 16)}  # fmt: skip
+
+
+def test_shared_headers_are_installed_with_the_kernels() -> None:
+    cmake = (cubins.CHECKOUT.parent / "CMakeLists.txt").read_text()
+    installed = re.search(r"install\(FILES ([^)]*) DESTINATION seepast/gpu/kernels\)", cmake)
+    assert installed and installed[1].split() == [f"cpp/{name}" for name in cubins.SHARED]
+    own = {path.name for path in cubins.KERNELS.glob("*.h")}
+    assert not own & set(cubins.SHARED), "one name, one header"
 
 
 def test_machine_code_is_kept_and_compiling_is_said_once(tmp_path, monkeypatch, caplog) -> None:

@@ -35,6 +35,7 @@ class EmulatedDevice:
     """Runs kernels on the CPU, one launch at a time, with NumPy arrays; refuses what a GPU would take and misread."""
 
     xp = np
+    name = "CUDA on the CPU"
 
     def __init__(self) -> None:
         self._one = threading.Lock()

@@ -15,7 +15,8 @@ from . import nvrtc
 log = logging.getLogger("seepast")
 
 KERNELS = Path(__file__).parent / "kernels"
-SHARED = Path(__file__).parents[3] / "cpp"  # of a checkout; what is installed has them beside the kernels
+SHARED = ("cubic.h", "people_pixel.h", "pixel.h", "planes.h")  # with the C++ core; installed beside the kernels
+CHECKOUT = Path(__file__).parents[3] / "cpp"  # where a checkout has them
 # no contraction: the same bits as the CPU; what is annotated with nothing is for the device, constants of headers too
 OPTIONS = ("--std=c++17", "--fmad=false", "--device-as-default-execution-space")
 STANDARD = {  # what the shared headers include of the host's library
@@ -36,8 +37,9 @@ def files() -> list[str]:
 @cache
 def headers() -> dict[str, str]:
     """Text of every header that a kernel may include, by name."""
-    found = {path.name: path.read_text(encoding="utf-8") for folder in (SHARED, KERNELS) for path in folder.glob("*.h")}
-    return {**found, **STANDARD}
+    shared = [CHECKOUT / name if (CHECKOUT / name).exists() else KERNELS / name for name in SHARED]
+    paths = [*shared, *(path for path in KERNELS.glob("*.h") if path.name not in SHARED)]
+    return {**{path.name: path.read_text(encoding="utf-8") for path in paths}, **STANDARD}
 
 
 def compiled(file: str, architecture: int, major: int, *options: str) -> tuple[bytes, str]:

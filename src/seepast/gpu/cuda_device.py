@@ -53,8 +53,8 @@ class CudaDevice:
 
     @property
     def name(self) -> str:
-        """The GPU's name, as the driver says it."""
-        return self._runtime.getDeviceProperties(self._gpu.id)["name"].decode()
+        name = self._runtime.getDeviceProperties(self._gpu.id)["name"].decode()
+        return f"{name}, compute capability {self.architecture / 10}, CUDA {self.major}"
 
     def launch(self, file: str, kernel: str, *, grid: Size, block: Size, args: Sequence[Any], shared: int = 0) -> None:
         self._function(file, kernel, shared if shared > MORE_SHARED else 0)(

@@ -24,6 +24,13 @@ class Device(Protocol):
 
     xp: ModuleType
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+
+    def __hash__(self) -> int:
+        """Tables are kept by device."""
+
     def launch(self, file: str, kernel: str, *, grid: Size, block: Size, args: Sequence[Any], shared: int = 0) -> None:
         """One launch of a kernel of kernels/<file>.cu behind what was launched before; returns at once.
 
