@@ -159,6 +159,19 @@ def test_aggregate(name, paths, chunks, penalties, kind):
         assert_same(cpu.aggregate(*given), cuda.aggregate(*given))
 
 
+@pytest.mark.parametrize("paths", [8, 4])
+def test_paths_leap_over_what_is_not_matched(paths):
+    rng = np.random.default_rng(5)
+    shape = 45, 67
+    y, x = np.indices(shape)
+    grid = DisparityGrid(3, 4, 80)
+    candidates = some_candidates(grid, shape, "clustered").where((x // 33 + y // 21) % 2 == 0)
+    image, otherwise = rng.integers(0, 90, (*shape, 3), np.uint8), np.full(shape, 7, np.uint16)
+    costs = rng.integers(0, 256, (candidates.chunks, CHUNK), np.uint8)
+    given = costs, image, rng.random(shape) < 0.9, candidates, FIRST, paths, otherwise
+    assert_same(cpu.aggregate(*given), cuda.aggregate(*given))
+
+
 @pytest.mark.parametrize("most", [1 << 29, 1])
 def test_aggregates_of_views_with_candidates_of_their_own(monkeypatch, most):
     monkeypatch.setattr(cuda, "MOST_BYTES", most)  # 1: view after view

@@ -157,6 +157,28 @@ struct Step {
     *reinterpret_cast<uint2*>(here + entry) = found;
     return min(found.x, found.y);
   }
+
+  // Of all chunks but the first two, which are in `all`, or follow each other from `entry` on if that is 0.
+  template <typename Way>
+  __device__ unsigned take_rest(uint64_t all, int chunks, int half, int entry, int first_entry,
+                                const uint8_t* costs, Way* ways) const {
+    const bool run = !all;
+    unsigned least = kUnwritten;
+    next_chunk(all, half);
+#pragma unroll 1
+    for (int done = 2; done < chunks; done += 2) {
+      entry = run ? entry + 2 * kChunk : kChunk * next_chunk(all, half) + first_entry;
+      const int64_t row = kChunk * done;
+      if (done + half < chunks) least = min(least, take(entry, two_at(costs + row), ways + row));
+    }
+    return least;
+  }
+
+  __device__ void turn() {
+    uint32_t* const swapped = here;
+    here = const_cast<uint32_t*>(before);
+    before = swapped;
+  }
 };
 
 // All pixels of a line, into `ways` [rows, 16] of the path. Both halves of a warp walk in step.
@@ -172,44 +194,48 @@ __device__ inline void walk(const View& v, const Line& line, unsigned small,
   Step step{0, 0, small, kUnwritten, path_costs, path_costs + pitch};
   Place mine = place_at(v, line, lane, large, dynamic),
         later = place_at(v, line, kLanes + lane, large, dynamic);
-  uint32_t next = __shfl_sync(kAll, mine.word, 0, kLanes);
-  int next_start = __shfl_sync(kAll, mine.start, 0, kLanes);
-  unsigned next_costs =
-      half < chunks_of(next) ? two_at(costs + kChunk * static_cast<int64_t>(next_start)) : 0;
-  __syncwarp();
-  for (int t = 0; t < steps; ++t) {
-    const uint32_t place = next;
-    const unsigned costs_here = next_costs;
-    const int chunks = chunks_of(place), into = large_of(place);
-    const int64_t at = kChunk * static_cast<int64_t>(next_start);
-    if (t % kLanes == kLanes - 1)
-      mine = later, later = place_at(v, line, t + kLanes + 1 + lane, large, dynamic);
-    next = __shfl_sync(kAll, mine.word, (t + 1) % kLanes, kLanes);
-    next_start = __shfl_sync(kAll, mine.start, (t + 1) % kLanes, kLanes);
-    // while this pixel is worked on
+  uint32_t next = 0;
+  int next_start = 0;
+  unsigned next_costs = 0;
+  bool prepared = false;
+  const auto look_ahead = [&](uint32_t word, int start, int at) {
+    next = __shfl_sync(kAll, word, at, kLanes);
+    next_start = __shfl_sync(kAll, start, at, kLanes);
     next_costs = half < chunks_of(next) ? two_at(costs + kChunk * static_cast<int64_t>(next_start)) : 0;
-
-    if (into < 0) step.lowest = 0;
-    step.far = step.lowest + max(into, 0);
-    step.mark -= kMark;
-    unsigned least = kUnwritten;
-    int entry = kChunk * (place >> 6 * half & 63) + first_entry;
-    if (half < chunks) least = step.take(entry, costs_here, ways + at);
-    if (chunks > 2) {  // rare, but for whole ranges
-      uint64_t rest = in_a_row(place) ? 0 : v.active[line.pixel(t)];
-      next_chunk(rest, half);
+  };
+  __syncwarp();
+  for (int first = 0; first < steps; first += kLanes) {
+    const bool matched = __any_sync(kAll, chunks_of(mine.word));
+    if (matched) {  // else paths begin anew behind these pixels
+      if (!prepared) look_ahead(mine.word, mine.start, 0);
+      const int many = min(kLanes, steps - first);
 #pragma unroll 1
-      for (int done = 2; done < chunks; done += 2) {
-        entry = in_a_row(place) ? entry + 2 * kChunk : kChunk * next_chunk(rest, half) + first_entry;
-        const int64_t row = at + kChunk * done;
-        if (done + half < chunks) least = min(least, step.take(entry, two_at(costs + row), ways + row));
+      for (int i = 0; i < many; ++i) {
+        const uint32_t place = next;
+        const unsigned costs_here = next_costs;
+        const int64_t at = kChunk * static_cast<int64_t>(next_start);
+        // the costs of the next pixel are on their way meanwhile
+        const bool in_here = i + 1 < kLanes;
+        look_ahead(in_here ? mine.word : later.word, in_here ? mine.start : later.start, (i + 1) % kLanes);
+        const int into = large_of(place);
+        if (into < 0) step.lowest = 0;
+        step.far = step.lowest + max(into, 0);
+        step.mark -= kMark;
+        unsigned least = kUnwritten;
+        const int chunks = chunks_of(place), entry = kChunk * (place >> 6 * half & 63) + first_entry;
+        if (half < chunks) least = step.take(entry, costs_here, ways + at);
+        if (chunks > 2) {  // rare, but for whole ranges
+          const uint64_t all = in_a_row(place) ? 0 : v.active[line.pixel(first + i)];
+          least = min(least, step.take_rest(all, chunks, half, entry, first_entry, costs + at, ways + at));
+        }
+        step.lowest = lowest_of_line(least);
+        __syncwarp();
+        step.turn();
       }
     }
-    step.lowest = lowest_of_line(least);
-    __syncwarp();
-    uint32_t* const swapped = step.here;
-    step.here = const_cast<uint32_t*>(step.before);
-    step.before = swapped;
+    prepared = matched;
+    mine = later;
+    later = place_at(v, line, first + 2 * kLanes + lane, large, dynamic);
   }
 }
 

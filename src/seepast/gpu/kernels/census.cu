@@ -84,7 +84,7 @@ __device__ inline unsigned colour_at(const int32_t* __restrict__ w, const uint8_
 }
 
 // colour uint8 [K, H, W, 3], is_static uint8 [K, H, W]; weights int32: cubic [4, 4] in 128ths, then luma [3]
-// in 256ths. samples [K, 4, H, W], valid [K, 2, H, W]: matching.h. Blocks 32 x 8: tiles of the image, z is
+// in 256ths. samples [K, 4, H, W, 2], valid [K, 4, H, W]: matching.h. Blocks 32 x 8: tiles of the image, z is
 // the camera.
 extern "C" __global__ void __launch_bounds__(kColumns* kRows)
     census(const uint8_t* __restrict__ colour, const uint8_t* __restrict__ is_static, int height, int width,
