@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -116,6 +118,20 @@ def test_support_on_a_pattern_that_comes_again(period):
     this.grid = DisparityGrid.of(OPTIONS.updated({"range.max_disparity": 100}).range, 150)
     features_of(this)
     both(lambda backend: this.support(backend, **{"support.min_agreeing": 0}))
+
+
+def test_support_of_an_array_far_off_its_line():
+    """Rays of other cameras cross many of the reference's rows: where they end cannot be told from one."""
+    scene = noise_scene(3, (61, 55))
+    crooked = scene.geometry.positions * (1, 40, 1)
+    scene.dynamic[:] = 0
+    scene.dynamic[0, 40:] = 254
+    this = Case(replace(scene, geometry=replace(scene.geometry, positions=crooked)))
+    features_of(this)
+    permissive = {"support.uniqueness": 1.0, "support.max_cost": 255, "support.left_right": 16}
+    changed = {**permissive, "support.texture": 0, "support.min_agreeing": 0, "support.grid": 2}
+    both(lambda backend: this.support(backend, **changed))
+    assert (this.support(cuda, **changed)[:, 1] >= 40).sum() >= 10
 
 
 @pytest.mark.parametrize("share", [0, 0.02, 1])

@@ -250,7 +250,7 @@ static __device__ bool meets(const uint8_t* changed, int xq, int row, int height
 
 // out [H, W]: pixels with a candidate whose rays end on or beside a pixel of changed [K, H, W]. The rest as
 // above.
-extern "C" __global__ void __launch_bounds__(kThreads)
+extern "C" __global__ void __launch_bounds__(kThreads, 4)
     affected(const uint8_t* __restrict__ changed, const float* __restrict__ shifts,
              const float* __restrict__ offsets, int cameras, int height, int width, float cx, float cy,
              const int32_t* __restrict__ mean, const uint8_t* __restrict__ cells, int first, int step,
