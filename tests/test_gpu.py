@@ -1,5 +1,10 @@
 """The device: kernels compiled and launched as everywhere, on the CPU."""
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -23,7 +28,9 @@ def trial(count=150, factor=2.5):
     return values, out, total
 
 
-def test_barriers_shuffles_atomics_and_shared_memory():
+@pytest.mark.parametrize("backwards", [False, True])
+def test_barriers_shuffles_atomics_and_shared_memory(emulated, backwards):
+    emulated.backwards = backwards
     values, out, total = trial()
     sums = np.repeat([block.sum() for block in np.split(values, [64, 128])], 64)[:150]
     assert np.array_equal(out, (np.float32(2.5) * values + sums).astype(np.float32))
@@ -47,3 +54,18 @@ def test_threads_that_miss_a_barrier_are_found(tmp_path):
     with pytest.raises(AssertionError, match="wait for others that do not come"):
         device.current().launch(**stuck, args=[np.int32(7)])
     device.current().launch(**stuck, args=[np.int32(8)])
+
+
+def test_memory_ends_where_an_array_does(tmp_path):
+    """In a process of its own, which falls."""
+    (tmp_path / "past.cu").write_text(
+        '#include "device.h"\nextern "C" __global__ void past(int* a, int n) { a[n + 3] = 1; }\n'
+    )
+    program = (
+        "import numpy as np; from cuda_on_cpu import StrictDevice; d = StrictDevice(); a = d.xp.zeros(64, np.int32);"
+        f"d.launch({str(tmp_path / 'past')!r}, 'past', grid=(1,), block=(1,), args=[a, np.int32(COUNT)])"
+    )
+    run = [sys.executable, "-c"]
+    here = {"cwd": Path(__file__).parent, "capture_output": True}
+    assert subprocess.run([*run, program.replace("COUNT", "60")], **here).returncode == 0
+    assert subprocess.run([*run, program.replace("COUNT", "64")], **here).returncode == -signal.SIGSEGV

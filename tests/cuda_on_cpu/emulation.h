@@ -73,7 +73,7 @@ struct Block {
   std::vector<uint64_t> slots;    // two per thread: what shuffles exchange
   std::vector<unsigned> exchanges;  // per thread: so far
   unsigned next = 0, count = 0;
-  bool moved = false;
+  bool moved = false, backwards = false;
   const char* fault = nullptr;
   void (*body)(void*) = nullptr;
   void* arguments = nullptr;
@@ -98,7 +98,8 @@ inline void work() {
   for (;;) {
     Block& b = g_block;
     while (b.next < b.count) {
-      threadIdx = unflat(b.next++);
+      const unsigned turn = b.next++;
+      threadIdx = unflat(b.backwards ? b.count - 1 - turn : turn);
       b.moved = true;
       b.body(b.arguments);
     }
@@ -245,7 +246,7 @@ struct Kernel {
 
 template <typename... P>
 const char* launch(void (*function)(P...), const unsigned* grid, const unsigned* block, unsigned shared_bytes,
-                   void** arguments) {
+                   int backwards, void** arguments) {
   Kernel<P...> kernel{function, arguments};
   Block& b = g_block;
   gridDim = {grid[0], grid[1], grid[2]};
@@ -253,6 +254,7 @@ const char* launch(void (*function)(P...), const unsigned* grid, const unsigned*
   b.count = block[0] * block[1] * block[2];
   b.body = Kernel<P...>::body;
   b.arguments = &kernel;
+  b.backwards = backwards != 0;
   b.fault = nullptr;
   for (unsigned z = 0; z < grid[2] && !b.fault; ++z)
     for (unsigned y = 0; y < grid[1] && !b.fault; ++y)
@@ -277,8 +279,8 @@ const char* types(void (*)(P...)) {
 // One per kernel, written by the tests' Python.
 #define SEEPAST_EMULATED(name)                                                                              \
   extern "C" const char* seepast_launch_##name(const unsigned* grid, const unsigned* block, unsigned bytes, \
-                                               void** arguments) {                                          \
-    return emulated::launch(name, grid, block, bytes, arguments);                                           \
+                                               int backwards, void** arguments) {                           \
+    return emulated::launch(name, grid, block, bytes, backwards, arguments);                                \
   }                                                                                                         \
   extern "C" const char* seepast_types_##name() { return emulated::types(name); }
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-RUBBISH = 0xA5
+from .memory import guarded, guarded_copy
+
 SCALARS = (bool, int, float, np.generic)
 
 
@@ -101,13 +102,11 @@ def _key(key: Any) -> Any:
 
 
 def _new(shape: Any, dtype: Any = float) -> Array:
-    host = np.empty(shape, dtype)
-    host.reshape(-1).view(np.uint8)[:] = RUBBISH
-    return Array(host)
+    return Array(guarded(shape, dtype))
 
 
 def _filled(value: Any) -> Any:
-    return lambda shape, dtype=float: Array(np.full(shape, value, dtype))
+    return lambda shape, dtype=float: Array(guarded_copy(np.full(shape, value, dtype)))
 
 
 def _like(value: Any) -> Any:
