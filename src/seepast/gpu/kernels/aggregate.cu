@@ -1,9 +1,9 @@
 // Stage "aggregate" of the many-view method, for all views at once: semi-global matching along 4 or 8 paths
 // (Hirschmueller 2008), the winners, and their 5x5 median.
 //
-// A warp walks along one line of one path, a lane for each candidate of two chunks. What a path adds to the
-// costs is never more than P2, so it is stored in a byte where that fits; no path waits for another, and the
-// sum is taken where the winner is.
+// Half a warp walks along one line of one path, a lane for every two candidates of two chunks. What a path
+// adds to the costs is never more than P2, so it is stored in a byte where that fits; no path waits for
+// another, and the sum is taken where the winner is.
 #include "device.h"
 #include "matching.h"
 
@@ -252,8 +252,9 @@ __device__ inline void paths_of(const uint64_t* addresses, int height, int width
        ways + kChunk * (path * rows + v.first), path_costs + in_block * 2 * pitch, pitch);
 }
 
-// addresses [n, 7]: View. rows of all views together; large uint16 [766]; ways [paths, rows, 16]. Blocks of
-// 64 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count + 4) uint32.
+// addresses [n, 7]: View. rows of all views together; large uint16 [766], and dynamic: below 4095; ways
+// [paths, rows, 16]. Blocks of 64 threads for 4 lines each; y is the path, z the view. Shared: 4 x 2 x (count
+// + 4) uint32.
 extern "C" __global__ void __launch_bounds__(kThreads, 16)
     paths_in_bytes(const uint64_t* __restrict__ addresses, int height, int width, int count, int64_t rows,
                    int small, const uint16_t* __restrict__ large, int dynamic, uint8_t* __restrict__ ways) {
