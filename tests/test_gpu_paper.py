@@ -379,6 +379,17 @@ def test_confidence_and_depth(name):
     assert_same([this.geometry.depth(d), cuda.depth(d, this.geometry)])
 
 
+def test_flatness_at_every_step():
+    """Confidence is for disparities in eighths, but its steps are 32nds."""
+    d = np.full((15 * 14, 13), 10, np.float32)
+    for i, step in enumerate(n + over for n in confidence.STEPS for over in (0, 1)):
+        d[15 * i + 7, 6] += np.float32(step) / 32
+    labels = np.ones(d.shape, np.uint16)
+    found = cuda.evidence(d, labels, 0)
+    assert_same([confidence.of_labels(d, labels, 0), found])
+    assert set(found.ravel() & 7) == set(range(8))
+
+
 def test_download():
     some = np.arange(3)
     found = cuda.download({"one": some, "many": (some, some)})

@@ -102,6 +102,22 @@ def test_a_frame(name, colour, interpolation):
         assert_same(getattr(expected, part), getattr(found, part), exact or part == "dynamic")
 
 
+def cubic(image: np.ndarray, whole: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+    """Kernel `rectify` with these maps on one grey image."""
+    (height, width), nothing = fraction.shape, np.zeros(1, np.uint64)
+    found, dynamic, no_ray = (np.zeros((height, width), np.uint8) for _ in range(3))
+    device.current().launch(
+        "rectify", "rectify", grid=(-(-width // 32), -(-height // 8), 1), block=(32, 8),
+        args=[
+            np.array([image.ctypes.data], np.uint64), nothing, np.array([image.shape[::-1]], np.int32),
+            np.zeros(1, np.int32), whole, fraction, no_ray, cubic_weights(), np.int32(1), np.int32(height),
+            np.int32(width), np.int32(1), found, found, dynamic,
+        ],
+    )  # fmt: skip
+    assert not dynamic.any()
+    return found
+
+
 @pytest.mark.skipif(not OPENCV_5, reason="OpenCV 4 rounds the weights of cubic interpolation")
 def test_every_fraction_of_cubic_interpolation():
     """At all 32 x 32 fractions, on the image, at its border and off it."""
@@ -110,17 +126,25 @@ def test_every_fraction_of_cubic_interpolation():
     fraction = np.arange(1024, dtype=np.uint16).repeat(64).reshape(256, 256)
     whole = np.stack([rng.integers(-3, 14, (256, 256)), rng.integers(-3, 12, (256, 256))], axis=-1).astype(np.int16)
     expected = cv2.remap(image, whole, fraction, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    sizes, nothing = np.array([[11, 9]], np.int32), np.zeros(1, np.uint64)
-    found, dynamic, no_ray = np.empty_like(expected), np.empty_like(expected), np.zeros_like(expected)
-    device.current().launch(
-        "rectify", "rectify", grid=(8, 32, 1), block=(32, 8),
-        args=[
-            np.array([image.ctypes.data], np.uint64), nothing, sizes, np.zeros(1, np.int32), whole, fraction, no_ray,
-            cubic_weights(), np.int32(1), np.int32(256), np.int32(256), np.int32(1), found, found, dynamic,
-        ],
-    )  # fmt: skip
-    assert_same(expected, found)
-    assert not dynamic.any()
+    assert_same(expected, cubic(image, whole, fraction))
+
+
+# Pixels, and fractions between those in their middle, whose sums end so near a half that the roundings on the way decide.
+CLOSE_CALLS = (
+    (212, (11, 178, 128, 144, 79, 45, 233, 197, 70, 3, 125, 26, 62, 184, 129, 104)),
+    (975, (110, 79, 135, 104, 32, 221, 204, 14, 242, 148, 201, 40, 2, 207, 88, 73)),
+    (242, (113, 82, 250, 194, 171, 214, 126, 119, 38, 67, 159, 48, 42, 0, 199, 162)),
+    (458, (189, 132, 55, 24, 197, 217, 227, 196, 53, 43, 31, 180, 20, 146, 98, 249)),
+)
+
+
+@pytest.mark.skipif(not OPENCV_5, reason="OpenCV 4 rounds the weights of cubic interpolation")
+@pytest.mark.parametrize("fraction, pixels", CLOSE_CALLS)
+def test_roundings_of_cubic_interpolation(fraction, pixels):
+    image, whole = np.array(pixels, np.uint8).reshape(4, 4), np.ones((2, 8, 2), np.int16)
+    fractions = np.full((2, 8), fraction, np.uint16)
+    expected = cv2.remap(image, whole, fractions, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    assert_same(expected, cubic(image, whole, fractions))
 
 
 def test_grey_of_every_colour():
