@@ -129,7 +129,7 @@ def test_every_fraction_of_cubic_interpolation():
     assert_same(expected, cubic(image, whole, fraction))
 
 
-# Pixels, and fractions between those in their middle, whose sums end so near a half that the roundings on the way decide.
+# Pixels, and a fraction between those in their middle, whose sum ends so near a half that every rounding decides.
 CLOSE_CALLS = (
     (212, (11, 178, 128, 144, 79, 45, 233, 197, 70, 3, 125, 26, 62, 184, 129, 104)),
     (975, (110, 79, 135, 104, 32, 221, 204, 14, 242, 148, 201, 40, 2, 207, 88, 73)),
