@@ -37,7 +37,8 @@ def emulated():
 
 
 def known(candidates: Candidates) -> cuda.DeviceCandidates:
-    return cuda.DeviceCandidates(candidates.grid, candidates.active, candidates.start, int(candidates.start[-1]))
+    count = int(candidates.start[-1])
+    return cuda.DeviceCandidates(candidates.grid, candidates.active, candidates.start, lambda: count)
 
 
 # ---------------------------------------------------------------------------------------------- describe

@@ -6,9 +6,9 @@ are the device's (gpu.device) and stay there, but for the number of chunks of `w
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -50,16 +50,16 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class DeviceCandidates(Candidates):
-    """Candidates whose arrays are the device's; the host knows their number."""
+    """Candidates whose arrays are the device's. `count` gives their number, and may wait for it."""
 
-    known: int = 0
+    count: Callable[[], int]
 
     @property
     def chunks(self) -> int:
-        return self.known
+        return self.count()
 
     def where(self, wanted: Any) -> DeviceCandidates:
-        return DeviceCandidates(self.grid, self.active * wanted, self.start, self.known)
+        return DeviceCandidates(self.grid, self.active * wanted, self.start, self.count)
 
 
 def _tiles(shape: tuple[int, ...], depth: int) -> tuple[int, int, int]:
@@ -114,15 +114,27 @@ def windows_of_views(
     here.launch("windows", "windows_active", grid=(blocks, n), block=(block,), args=args)
     args = [active, _int(pixels), sums, start, totals]
     here.launch("windows", "windows_start", grid=(blocks, n), block=(block,), args=args)
-    chunks = here.download(totals)  # waits for the device: what is allocated next depends on it
-    return [DeviceCandidates(grid, active[k], start[k], int(chunks[k])) for k in range(n)]
+    chunks = _fetched(here, totals)
+    return [DeviceCandidates(grid, active[k], start[k], partial(chunks, k)) for k in range(n)]
+
+
+def _fetched(here: device.Device, counts: Any) -> Callable[[int], int]:
+    """Numbers on their way to the host: whoever asks first waits, and the device has other work until then."""
+    host, mark = here.fetch(counts), here.mark()
+
+    def count(k: int) -> int:
+        here.wait(mark)
+        return int(host[k])
+
+    return count
 
 
 def everything(grid: DisparityGrid, shape: tuple[int, ...]) -> DeviceCandidates:
     """Candidates.all on the device."""
     here: Any = device.current()
     active, start = _everything(here, grid.count // CHUNK, tuple(shape))
-    return DeviceCandidates(grid, active, start, grid.count // CHUNK * active.size)
+    chunks = grid.count // CHUNK * active.size
+    return DeviceCandidates(grid, active, start, lambda: chunks)
 
 
 @lru_cache(maxsize=8)
