@@ -124,12 +124,12 @@ def _uploaded(maps: Sequence[Fixed], places: np.ndarray) -> _Maps:
     columns = zip(*bent, strict=True) if bent else ([part] for part in nothing)
     whole, fraction, mark = (np.concatenate([part.ravel() for part in column]) for column in columns)
     there = np.array([fixed is not None for fixed in maps])
-    upload = device.current().upload
+    keep = device.current().keep  # frames are rectified in one lane, masks go back in another
     return _Maps(
-        upload(np.where(there, places, -1).astype(places.dtype)),
-        upload(whole),
-        upload(fraction),
-        upload(mark.astype(np.uint8)),
+        keep(np.where(there, places, -1).astype(places.dtype)),
+        keep(whole),
+        keep(fraction),
+        keep(mark.astype(np.uint8)),
     )
 
 
