@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from arrays import noise_scene
 from cuda_on_cpu import EmulatedDevice
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import cuda_matching as cuda
@@ -12,7 +13,7 @@ from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.gpu import device
 from seepast.many import UNITS
-from test_multiview import COSTS, FINAL, FIRST, KINDS, STEEPEST, VOLUME_GRIDS, assert_same, case, some_candidates
+from test_multiview import COSTS, FINAL, FIRST, KINDS, STEEPEST, VOLUME_GRIDS, Case, assert_same, case, some_candidates
 
 SCENES = (
     "2 cameras",
@@ -82,6 +83,25 @@ def test_windows(ratio, reach, spread):
     assert_same(alone.active, reference.windows(disparity[0], where[0], ratio, grid, reach, spread, shape).active)
 
 
+class Late(EmulatedDevice):
+    """Numbers arrive on the host when somebody waits for them, and not before."""
+
+    def fetch(self, array):
+        self.source, self.host = array, np.full_like(array, -1)
+        return self.host
+
+    def wait(self, mark):
+        self.host[:] = self.source
+
+
+def test_the_host_waits_for_the_number_of_chunks():
+    disparity, where = np.full((2, 5, 6), 300, np.uint16), np.ones((2, 5, 6), bool)
+    with device.use(Late()) as late:
+        found = cuda.windows_of_views(disparity, where, 1, DisparityGrid(0, 4, 64), 8, 1, (5, 6))
+        assert (late.host == -1).all()
+        assert [c.chunks for c in found] == [c.start[-1] for c in found]
+
+
 def test_everything():
     for chunks in (1, 5, 64):
         grid = DisparityGrid(3, 4, CHUNK * chunks)
@@ -109,6 +129,17 @@ def test_volume(name, kind):
             others, cuda.volumes(found, views, [known(candidates)] * len(views), COSTS)[1:], strict=True
         ):
             assert_same(one, many)
+
+
+@pytest.mark.parametrize("cameras", range(2, 17))
+def test_volume_of_any_number_of_cameras(cameras):
+    c = Case(noise_scene(cameras, (41, 9), reference=cameras // 2, seed=cameras))
+    candidates = known(Candidates.all(VOLUME_GRIDS[1], c.static.shape[1:]))
+    features = cpu.describe(c.colour, c.static)
+    views = [c.views[k] for k in c.some_views]
+    found = cuda.volumes(cuda.describe(c.colour, c.static), views, [candidates] * len(views), COSTS)
+    for view, costs in zip(views, found, strict=True):
+        assert_same(cpu.volume(features, view, candidates, COSTS), costs)
 
 
 def test_volumes_of_views_with_candidates_of_their_own():
