@@ -28,12 +28,11 @@ __all__ = [
     "log_odds",
     "object_grid",
     "object_slice",
-    "potential",
+    "potentials",
     "probability",
     "share_histograms",
     "sure_labels",
     "surface_range",
-    "upsampled",
     "witnesses",
 ]
 
@@ -141,37 +140,27 @@ def sure_labels(region, said, options: PeopleOptions):
     return out
 
 
-def upsampled(blocks: np.ndarray, size: int, shape: tuple[int, int]):
-    """float32 [H, W, 4] on the device."""
-    height, width = shape
-    out = device.current().xp.empty((height, width, 4), np.float32)
-    (rows, down), (across, right) = (_between(n, size, count) for n, count in zip(blocks.shape, shape, strict=False))
-    pairs = np.stack([rows, np.minimum(rows + 1, len(blocks) - 1)], 1)
+def potentials(said, dynamic, colour, linear: np.ndarray, sure, terms: Terms, stride: int, cell: int, size: int):
+    u = device.current().xp.empty(said.shape, np.int16)
+    rows, columns = linear.shape[1:3]
+    height, width = dynamic.shape[1:]
     launch_tiles(
-        "people", "upsampled", (1, height, width), device.current().upload(blocks), np.int32(blocks.shape[1]),
-        *(constant(table) for table in (pairs, down, across, right)), *int32(height, width), out,
+        "people", "potentials", said.shape, said, dynamic, colour, device.current().upload(linear),
+        *_between(rows, size, height), *_between(columns, size, width), sure, constant(terms.sure),
+        device.current().upload(terms.colours), np.float32(terms.said), np.float32(terms.local),
+        *int32(rows, columns, colour.shape[-1], height, width, *sure.shape[1:], stride, cell), u,
     )  # fmt: skip
-    return out
+    return u
 
 
-def _between(blocks: int, size: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _between(blocks: int, size: int, count: int) -> tuple:
     """Of `count` pixels, the block of `size` pixels whose centre lies before each, int32, and the next one's share,
     float32; beyond the outermost centres those blocks alone. As OpenCV's INTER_LINEAR computes them."""
     place = (np.minimum(np.arange(count), blocks * size - 1) + 0.5) * (1 / size) - 0.5
     first = np.floor(place)
     outside = (first < 0) | (first >= blocks - 1)
     share = np.where(outside, 0, place - first).astype(np.float32)
-    return first.clip(0, blocks - 1).astype(np.int32), share
-
-
-def potential(said, dynamic, colour, linear, sure, terms: Terms, stride: int, cell: int):
-    u = device.current().xp.empty(said.shape, np.int16)
-    launch_tiles(
-        "people", "potential", (1, *said.shape), said, dynamic, colour, linear, sure, constant(terms.sure),
-        constant(terms.colours), np.float32(terms.said), np.float32(terms.local),
-        *int32(colour.shape[-1], *dynamic.shape, *sure.shape, stride, cell), u,
-    )  # fmt: skip
-    return u
+    return constant(first.clip(0, blocks - 1).astype(np.int32)), constant(share)
 
 
 def field(u, colour, surfaces, costs: FieldCosts, stride: int):

@@ -313,50 +313,39 @@ extern "C" __global__ void __launch_bounds__(256)
   if (i < count) out[i] = static_cast<int8_t>(!around[i] ? -1 : (deep[i] && said[i] > least));
 }
 
-// Linear between four of blocks float4 [r, c] per pixel: out float4 [H, W]. Of every row and column the two
-// blocks, int32 [H] and [W] each, and the second one's share. Steps are added in one rounding, as OpenCV
-// does.
+// said float, u int16 [K, h, w]; sure int8 [K, sure_height, sure_width]. The local label is linear between
+// four of blocks float4 [K, rows, columns]: of every row and column of the image the block before it, above
+// int32 [H] and left [W], and the share of the next, down and right. Steps are added in one rounding, as
+// OpenCV does.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    upsampled(const float* __restrict__ blocks, int columns, const int32_t* __restrict__ rows,
-              const float* __restrict__ down, const int32_t* __restrict__ across,
-              const float* __restrict__ right, int height, int width, float* __restrict__ out) {
-  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
-  if (x >= width || y >= height) return;
-  const int left = across[x], next = min(left + 1, columns - 1);
-  const float* upper = blocks + 4 * static_cast<size_t>(rows[2 * y]) * columns;
-  const float* lower = blocks + 4 * static_cast<size_t>(rows[2 * y + 1]) * columns;
-  const float to_right = right[x], to_lower = down[y];
-  float4 found;
-  float* of = &found.x;
-#pragma unroll
-  for (int c = 0; c < 4; ++c) {
-    const float a = upper[4 * left + c], b = lower[4 * left + c];
-    const float high = fmaf(upper[4 * next + c] - a, to_right, a),
-                low = fmaf(lower[4 * next + c] - b, to_right, b);
-    of[c] = fmaf(low - high, to_lower, high);
-  }
-  reinterpret_cast<float4*>(out)[static_cast<size_t>(y) * width + x] = found;
-}
-
-// Of one camera's lattice: said float, u int16 [h, w]; linear float4 [H, W]; sure int8 [sure_height,
-// sure_width].
-extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    potential(const float* __restrict__ said, const uint8_t* __restrict__ dynamic,
-              const uint8_t* __restrict__ colour, const float* __restrict__ linear,
-              const int8_t* __restrict__ sure, const float* __restrict__ sure_terms,
-              const float* __restrict__ colours, float said_weight, float local_weight, int channels,
-              int height, int width, int sure_height, int sure_width, int stride, int cell,
-              int16_t* __restrict__ u) {
+    potentials(const float* __restrict__ said, const uint8_t* __restrict__ dynamic,
+               const uint8_t* __restrict__ colour, const float* __restrict__ blocks,
+               const int32_t* __restrict__ above, const float* __restrict__ down,
+               const int32_t* __restrict__ left, const float* __restrict__ right,
+               const int8_t* __restrict__ sure, const float* __restrict__ sure_terms,
+               const float* __restrict__ colours, float said_weight, float local_weight, int rows,
+               int columns, int channels, int height, int width, int sure_height, int sure_width, int stride,
+               int cell, int16_t* __restrict__ u) {
   const Lattice grid(height, width, stride);
   const Place at(grid, height, width);
   if (!at.there) return;
-  int c[3];
-  bgr(colour + at.image * channels, channels, c);
-  const float4 l = reinterpret_cast<const float4*>(linear)[at.image];
-  const float weights[4] = {l.x, l.y, l.z, l.w};
-  const int label = sure[min(at.j / cell, sure_height - 1) * sure_width + min(at.i / cell, sure_width - 1)];
-  const int16_t found = potential_of(sure_terms[label + 1], said[at.lattice], local_of(weights, c),
-                                     colours[colour_bin(c)], said_weight, local_weight);
+  const int y = grid.image(at.j), x = grid.image(at.i);
+  const float4* upper = reinterpret_cast<const float4*>(blocks) + (at.k * rows + above[y]) * columns;
+  const float4* lower = upper + (above[y] + 1 < rows ? columns : 0);
+  const int first = left[x], next = min(first + 1, columns - 1);
+  const float4 a = upper[first], b = upper[next], c = lower[first], d = lower[next];
+  const auto between_four = [&](float a, float b, float c, float d) {
+    const float high = fmaf(b - a, right[x], a), low = fmaf(d - c, right[x], c);
+    return fmaf(low - high, down[y], high);
+  };
+  const float linear[4] = {between_four(a.x, b.x, c.x, d.x), between_four(a.y, b.y, c.y, d.y),
+                           between_four(a.z, b.z, c.z, d.z), between_four(a.w, b.w, c.w, d.w)};
+  int bgr_here[3];
+  bgr(colour + at.image * channels, channels, bgr_here);
+  const int row = min(at.j / cell, sure_height - 1), column = min(at.i / cell, sure_width - 1);
+  const int label = sure[(static_cast<size_t>(at.k) * sure_height + row) * sure_width + column];
+  const int16_t found = potential_of(sure_terms[label + 1], said[at.lattice], local_of(linear, bgr_here),
+                                     colours[colour_bin(bgr_here)], said_weight, local_weight);
   u[at.lattice] = dynamic[at.image] == kNoRay ? static_cast<int16_t>(0) : found;
 }
 
