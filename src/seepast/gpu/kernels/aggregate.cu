@@ -45,6 +45,7 @@ struct Line {
   __device__ int steps() const { return dy ? height : width; }
   __device__ int column(int t) const {
     if (dy == 0) return dx > 0 ? t : width - 1 - t;
+    if (dx == 0) return x;
     const int at = (x + t % width * dx) % width;
     return at < 0 ? at + width : at;
   }
