@@ -13,7 +13,7 @@ import numpy as np
 from ..geometry import ArrayGeometry
 from . import device
 
-KEPT = 256  # tables; each is a few hundred bytes
+KEPT = 1024  # tables, each of some hundred bytes: what several frames use, since kernels read them later
 
 _tables: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
 _one = Lock()
