@@ -126,7 +126,7 @@ static __device__ int packed(uint32_t n, uint32_t sum, uint32_t squares, const f
   return n >= 2 ? variance + kSampleKnown : 0;
 }
 
-// The two pixels' sums of packed variances over the descriptor's pattern; rows[0] is two rows above the upper
+// The two pixels' sums of packed variances over the descriptor's pattern; row 0 is two rows above the upper
 // one.
 struct Pattern {
   int upper, lower;
@@ -152,9 +152,9 @@ struct Best {
 };
 
 // Blocks of 32 x 8 threads, one per cell; 4 bytes of shared memory per 32 candidates.
-//   gradients [K, H, W] of static_gradients; shifts [count, K, 3]: zoom and parallax of ray_shift per
-//   candidate offsets [K, kOffsets]; mean int32 [H, W]; cells uint8 [.., .., count]; wanted [H, W]; table:
-//   prior energies
+//   gradients [K, H, W] of static_gradients; shifts [count, K, 3] of shift_of; offsets [K, kOffsets]
+//   mean int32 [H, W]; cells uint8 [.., .., count]; wanted [H, W]
+//   table float [tail + 1]: prior energies by eighths of |d - mu|; radius in eighths
 // out [H, W] px, 0 where not wanted.
 extern "C" __global__ void __launch_bounds__(kThreads, 4)
     disparity(const uint32_t* __restrict__ gradients, const float* __restrict__ shifts,

@@ -59,9 +59,11 @@ static __device__ uint8_t grey_of(const int* bgr) {
 
 // Blocks of 32 x 8 pixels of camera blockIdx.z.
 //   images, masks uint64 [K]: addresses of uint8 [h, w, channels] and [h, w]; 0 for a mask of nothing
-//   sizes int32 [K, 2]: (w, h); slots int32 [K]: which of the maps is the camera's, -1 if its image is the
-//   view already whole int16 [M, H, W, 2], fraction uint16 [M, H, W]: maps; no_ray uint8 [M, H, W]: NO_RAY or
-//   0 weights float [32, 4]: of cubic interpolation, if use_cubic
+//   sizes int32 [K, 2]: (w, h)
+//   slots int32 [K]: which of the maps is the camera's, -1 if its image is the view already
+//   whole int16 [M, H, W, 2], fraction uint16 [M, H, W]: the maps
+//   no_ray uint8 [M, H, W]: NO_RAY or 0
+//   weights float [32, 4]: of cubic interpolation, if use_cubic
 // colour [K, H, W, channels], channels 1 or 3; grey (of 1: not written) and dynamic [K, H, W].
 extern "C" __global__ void __launch_bounds__(256)
     rectify(const uint64_t* __restrict__ images, const uint64_t* __restrict__ masks,
@@ -99,9 +101,9 @@ static __device__ int to_bytes(int dynamic) {
 }
 
 // Refined masks in the cameras' own pixels. Blocks of 256 pixels of camera blockIdx.y.
-//   dynamic [K, H, W] in 254ths; masks, sizes as above; starts int64 [K]: where the camera's pixels start in
-//   `out` map_starts int64 [K]: the same in whole [.., 2], fraction and unreached, -1 if its image is the
-//   view already
+//   dynamic [K, H, W] in 254ths; masks, sizes as above
+//   starts int64 [K]: where the camera's pixels start in `out`
+//   map_starts int64 [K]: the same in whole [.., 2], fraction and unreached; -1 if its image is the view
 extern "C" __global__ void __launch_bounds__(256)
     to_input(const uint8_t* __restrict__ dynamic, const uint64_t* __restrict__ masks,
              const int32_t* __restrict__ sizes, const int64_t* __restrict__ starts,

@@ -106,8 +106,8 @@ static __device__ __forceinline__ void sort_three(int& a, int& b, int& c) {
   sort_two(a, b);
 }
 
-// Of nine: the middle one of the largest least, the middle middle and the least largest of three sorted
-// columns.
+// Columns of three are sorted; then the median of nine is that of the largest of the least, the median of the
+// middle ones, and the least of the largest.
 static __device__ int median9(int (&v)[9]) {
   for (int j = 0; j < 3; ++j) sort_three(v[j], v[3 + j], v[6 + j]);
   int low = max(v[0], max(v[1], v[2])), high = min(v[6], min(v[7], v[8]));

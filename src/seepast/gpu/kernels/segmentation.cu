@@ -198,7 +198,7 @@ static __device__ uint32_t gather(const uint4* descriptors, const uint8_t* dynam
   return exist;
 }
 
-// One warp per pixel of `hard` of kernel `segmentation`, blocks of 32 x 4 threads, as many as there are.
+// One warp per pixel of `hard` of kernel `segmentation`, blocks of 32 x 4 threads, any number of them.
 // table: the posterior by 1 / scale of energy, [2 reach + 1]. The rest as there.
 extern "C" __global__ void __launch_bounds__(32 * kWarps, 8)
     flips(const uint4* __restrict__ descriptors, const uint8_t* __restrict__ dynamic,
