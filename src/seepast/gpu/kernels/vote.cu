@@ -44,8 +44,6 @@ __device__ void add_vote(int behind, int c, int& support, int& violation) {
   violation += c * min(2 * kUnits, max(0, behind - kUnits));
 }
 
-}  // namespace
-
 // What there is of every view, as the addresses of arrays.
 struct View {
   const uint8_t *costs, *is_static;  // [n, kChunk], [H, W]
@@ -53,6 +51,67 @@ struct View {
   const int32_t* start;              // [H W + 1]
   uint8_t* out;  // [n, kChunk], may be `costs`; only rows that there are votes on are written
 };
+
+// A thread's pixel and candidates: first, first + kWarps .. of a chunk.
+struct Own {
+  int x, lane, first;
+  float from_center;
+
+  __device__ int candidate(int n) const { return first + n * kWarps; }
+};
+
+// One thread: how row y looks at disparity d with camera k of the view; cy its centre.
+__device__ void aim(Shared& shared, int i, int k, const float* offset, float d, float cy, int y, bool asked,
+                    int height, int width) {
+  const RayShift shift = shift_of(offset, d);
+  const int row = y + whole_offset(ray_dy(shift, y, cy));
+  const bool looks = asked && within(row, height);
+  shared.aims[i][k] = {shift.zoom, looks ? shift.x : kNowhere, shift.view_x,
+                       floor_int(d * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f)};
+  shared.lines[i][k] = (k * height + row) * width;
+}
+
+// Support and violation of a thread's candidates by all cameras.
+__device__ void collect(const Shared& shared, const Own& own, const uint16_t* __restrict__ disparities,
+                        const uint8_t* __restrict__ confidence, int cameras, int width, int* support,
+                        int* violation) {
+#pragma unroll 2
+  for (int k = 0; k < cameras; ++k)
+#pragma unroll
+    for (int n = 0; n < kEach; ++n) {  // no branches: the loads of several votes are on their way together
+      const int i = own.candidate(n), line = shared.lines[i][k];
+      const Aim aim = shared.aims[i][k];
+      const int column = own.x + whole_offset(own.from_center * aim.zoom - aim.parallax + aim.side);
+      const bool there = within(column, width);
+      const uint32_t seen = there ? static_cast<uint32_t>(line + column) : 0, c = confidence[seen];
+      add_vote(aim.expected - disparities[seen], there ? static_cast<int>(c) : 0, support[n], violation[n]);
+    }
+}
+
+// The largest margin from candidate `from` of a chunk on.
+__device__ int largest(const int16_t (&margins)[kChunk][kPixels], int from, int lane) {
+  int found = 0;
+  for (int j = max(0, from); j < kChunk; ++j) found = max(found, static_cast<int>(margins[j][lane]));
+  return found;
+}
+
+// Adds their costs to the energies of the pixels that have the chunk: four bytes per thread.
+__device__ void add_costs(const Shared& shared, const View& view, int volume) {
+  const int t = threadIdx.x, pixel = t / 4, row = t < 4 * kPixels ? shared.rows[pixel] : -1;
+  if (row < 0) return;
+  const uint32_t energies = shared.energies[kPitch * pixel + t % 4];
+  const size_t word = 4 * static_cast<size_t>(row) + t % 4;
+  const uint32_t costs = reinterpret_cast<const uint32_t*>(view.costs)[word];
+  uint32_t sums = 0;
+#pragma unroll
+  for (int shift = 0; shift < 32; shift += 8) {
+    const int part = (static_cast<int>(costs >> shift & 255) * volume + 64) >> 7;
+    sums |= static_cast<uint32_t>(min(255, static_cast<int>(energies >> shift & 255) + part)) << shift;
+  }
+  reinterpret_cast<uint32_t*>(view.out)[word] = sums;
+}
+
+}  // namespace
 
 // blockIdx.z: the view, of V. offsets [V, K, 5], centers [V, 2]; addresses uint64 [V, 5], see View;
 // disparities uint16, confidence uint8 [K, H, W]; skips int32 [V]: the camera without a vote, or -1.
@@ -62,17 +121,17 @@ extern "C" __global__ void __launch_bounds__(kThreads)
           const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ confidence, int cameras,
           int height, int width, int first, int step, int base, int gain, int hide, int volume, int visible) {
   __shared__ Shared shared;
-  const int t = threadIdx.x, lane = t % kPixels, warp = t / kPixels;
-  const int x = blockIdx.x * kPixels + lane, y = blockIdx.y, view = blockIdx.z;
-  const bool inside = x < width;
+  const int t = threadIdx.x, view = blockIdx.z, y = blockIdx.y;
+  const int x = blockIdx.x * kPixels + t % kPixels;
+  const Own own{x, t % kPixels, t / kPixels, static_cast<float>(x) - centers[2 * view]};
   const View of = reinterpret_cast<const View*>(addresses)[view];
+  const bool inside = x < width;
   const int at = y * width + (inside ? x : 0);
-  const bool own = inside && of.is_static[at];
-  const uint64_t mine = inside && (visible || !own) ? of.active[at] : 0;
+  const bool seen = inside && of.is_static[at];
+  const uint64_t mine = inside && (visible || !seen) ? of.active[at] : 0;
   uint64_t wanted = any_of(mine);
-  const bool blind = __any_sync(0xffffffffu, inside && !own);
-  const int weight = own ? 0 : hide, lag = (2 * 8 + step - 1) / step, skip = skips[view];
-  const float from_center = static_cast<float>(x) - centers[2 * view], cy = centers[2 * view + 1];
+  const bool blind = __any_sync(0xffffffffu, inside && !seen);
+  const int weight = seen ? 0 : hide, lag = (2 * 8 + step - 1) / step;
   int older = 0;  // the largest margin of the chunks before the one before
   int now = 0;
 
@@ -81,53 +140,31 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     wanted ^= uint64_t{1} << chunk;
     if (t % kMaxCameras < cameras) {
       const int i = t / kMaxCameras, k = t % kMaxCameras;
-      const float d =
-          (static_cast<float>(first) + static_cast<float>(step) * static_cast<float>(chunk * kChunk + i)) /
-          8.0f;
-      const RayShift shift = shift_of(offsets + kOffsets * (cameras * view + k), d);
-      const int row = y + whole_offset(ray_dy(shift, y, cy));
-      const bool looks = k != skip && within(row, height);
-      shared.aims[i][k] = {shift.zoom, looks ? shift.x : kNowhere, shift.view_x,
-                           floor_int(d * static_cast<float>(kUnits) * (shift.zoom + 1.0f) + 0.5f)};
-      shared.lines[i][k] = (k * height + row) * width;
+      const float steps = static_cast<float>(step) * static_cast<float>(chunk * kChunk + i);
+      aim(shared, i, k, offsets + kOffsets * (cameras * view + k), (static_cast<float>(first) + steps) / 8.0f,
+          centers[2 * view + 1], y, k != skips[view], height, width);
     }
     __syncthreads();
 
     const bool has = mine >> chunk & 1;
-    if (warp == 0)
-      shared.rows[lane] = has ? of.start[at] + __popcll(mine & ((uint64_t{1} << chunk) - 1)) : -1;
+    if (t < kPixels) shared.rows[t] = has ? of.start[at] + __popcll(mine & ((uint64_t{1} << chunk) - 1)) : -1;
     int support[kEach] = {}, violation[kEach] = {};
-#pragma unroll 2
-    for (int k = 0; k < cameras; ++k)
-#pragma unroll
-      for (int n = 0; n < kEach; ++n) {  // no branches: the loads of several votes are on their way together
-        const int i = warp + n * kWarps, line = shared.lines[i][k];
-        const Aim aim = shared.aims[i][k];
-        const int column = x + whole_offset(from_center * aim.zoom - aim.parallax + aim.side);
-        const bool there = within(column, width);
-        const uint32_t seen = there ? static_cast<uint32_t>(line + column) : 0, c = confidence[seen];
-        add_vote(aim.expected - disparities[seen], there ? static_cast<int>(c) : 0, support[n], violation[n]);
-      }
+    collect(shared, own, disparities, confidence, cameras, width, support, violation);
 
     int nearest[kEach] = {};  // margins of candidates that hide this one
     if (blind) {
 #pragma unroll
       for (int n = 0; n < kEach; ++n)
-        shared.margins[now][warp + n * kWarps][lane] =
+        shared.margins[now][own.candidate(n)][own.lane] =
             static_cast<int16_t>(has ? max(0, 2 * support[n] - violation[n]) : 0);
       __syncthreads();
-      int last = 0;
-      if (before >= 0)
-        for (int j = 0; j < kChunk; ++j) last = max(last, static_cast<int>(shared.margins[now ^ 1][j][lane]));
+      const bool next = before == chunk + 1;
+      const int last = before < 0 ? 0 : largest(shared.margins[now ^ 1], 0, own.lane);
 #pragma unroll
       for (int n = 0; n < kEach; ++n) {
-        const int from = warp + n * kWarps + lag;
-        nearest[n] = before == chunk + 1 ? older : max(older, last);
-        for (int j = from; j < kChunk; ++j)
-          nearest[n] = max(nearest[n], static_cast<int>(shared.margins[now][j][lane]));
-        if (before == chunk + 1)
-          for (int j = max(0, from - kChunk); j < kChunk; ++j)
-            nearest[n] = max(nearest[n], static_cast<int>(shared.margins[now ^ 1][j][lane]));
+        const int from = own.candidate(n) + lag;
+        const int near = next ? largest(shared.margins[now ^ 1], from - kChunk, own.lane) : last;
+        nearest[n] = max(max(older, near), largest(shared.margins[now], from, own.lane));
       }
       older = max(older, last);
     }
@@ -137,23 +174,10 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     for (int n = 0; n < kEach; ++n) {
       const int s = min(2 * support[n], 2 * kFullVote), v = min(violation[n], 2 * kFullVote);
       const int energy = base + gain * (v - s) + weight * min(nearest[n], kFullVote);
-      reinterpret_cast<uint8_t*>(shared.energies)[4 * kPitch * lane + warp + n * kWarps] =
+      reinterpret_cast<uint8_t*>(shared.energies)[4 * kPitch * own.lane + own.candidate(n)] =
           static_cast<uint8_t>(min(255, (max(0, energy) + 64) >> 7));
     }
     __syncthreads();
-
-    const int pixel = t / 4, row = t < 4 * kPixels ? shared.rows[pixel] : -1;
-    if (row >= 0) {
-      const uint32_t energies = shared.energies[kPitch * pixel + t % 4];
-      const size_t word = 4 * static_cast<size_t>(row) + t % 4;
-      const uint32_t cost = reinterpret_cast<const uint32_t*>(of.costs)[word];
-      uint32_t sums = 0;
-#pragma unroll
-      for (int shift = 0; shift < 32; shift += 8) {
-        const int part = (static_cast<int>(cost >> shift & 255) * volume + 64) >> 7;
-        sums |= static_cast<uint32_t>(min(255, static_cast<int>(energies >> shift & 255) + part)) << shift;
-      }
-      reinterpret_cast<uint32_t*>(of.out)[word] = sums;
-    }
+    add_costs(shared, of, volume);
   }
 }
