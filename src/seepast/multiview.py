@@ -117,20 +117,23 @@ def at_level(
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
         hides = None if before is None else around_people(before, o.around)
-        area = asked_for(hides, level, o, dynamic_only)
+        area = asked_for(hides, before, o, dynamic_only)
+        everywhere = area is None or bool(area.all())
         candidates = [around(before, area, k, level, grid, o, backend) for k in range(K)]
         found = np.zeros(static.shape, np.uint16) if before is None else before.at(level)
         matched = [k for k in range(K) if candidates[k].chunks]
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = {k: backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in matched}
-        del features  # a fifth of the memory
+        wanted = [views[k] for k in matched], [candidates[k] for k in matched]
+        costs = dict(zip(matched, backend.volumes(features, *wanted, PairCosts.of(o)), strict=True))
 
+    # where views are matched around people only, the wanted one has all it can tell them from the coarser level
+    voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
     seen = Views(level, found, np.zeros(static.shape, np.uint8))
     for once_more in range(o.rounds):
         better = seen.disparity.copy()
-        for k in matched:
+        for k in voters:
             energy, polled = costs[k], candidates[k]
             if once_more:  # with what the others saw; the other views are heard on what is hidden only
                 with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
@@ -142,7 +145,6 @@ def at_level(
                 better[k] = backend.aggregate(energy, colour[k], static[k], polled, first, o.paths, kept)
         seen = confirmed(better, level, o, backend, clock)
     if r in matched:
-        everywhere = area is None or bool(area.all())
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=everywhere)
         smooth = final if everywhere else first
@@ -197,16 +199,21 @@ def around_people(found: Views, reach: int) -> np.ndarray:
     return beside(landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
 
 
-def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
+def asked_for(
+    hides: np.ndarray | None, before: Views | None, o: MultiviewOptions, dynamic_only: bool
+) -> np.ndarray | None:
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
-    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one; with
-    dynamic_only that one too.
+    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
+    only at what they see themselves, as far as a coarse pixel tells; with dynamic_only that one too.
     """
-    if hides is None:
+    if hides is None or before is None:
         return None
+    r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
-    area[level.geometry.reference] |= not dynamic_only
+    if not o.fine_views:
+        area &= beside(before.level.static, 1)
+    area[r] = hides[r] if dynamic_only else True
     return area
 
 

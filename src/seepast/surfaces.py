@@ -43,16 +43,11 @@ def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, back
     candidates = Candidates.all(level_grid((low, high), scale, 1.0), level.static.shape[1:])
     penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
     features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
+    volumes = backend.volumes(features, level.views, [candidates] * len(level.views), costs)
     found = np.stack(
         [
-            backend.aggregate(
-                backend.volume(features, view, candidates, costs),
-                level.colour[k],
-                level.static[k],
-                candidates,
-                penalties,
-            )
-            for k, view in enumerate(level.views)
+            backend.aggregate(volume, level.colour[k], level.static[k], candidates, penalties)
+            for k, volume in enumerate(volumes)
         ]
     )
     tolerance = round(UNITS * o.tolerance)

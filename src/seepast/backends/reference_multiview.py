@@ -159,6 +159,13 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
     return out[candidates.mask].reshape(-1, CHUNK)
 
 
+def volumes(
+    features: Features, views: list[ArrayGeometry], candidates: list[Candidates], costs: PairCosts
+) -> list[np.ndarray]:
+    """`volume` of several views, each with its candidates of one grid."""
+    return [volume(features, view, own, costs) for view, own in zip(views, candidates, strict=True)]
+
+
 def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
     """(census, valid, colour, static) of camera k at x^k for every pixel of the view."""
     height, width = features.static.shape[-2:]
