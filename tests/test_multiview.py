@@ -68,7 +68,7 @@ class Case:
     """A scene, and random stand-ins for what earlier stages would have found."""
 
     def __init__(self, scene: Scene, steep: float = 1.0):
-        self.colour = multiview.three_channels(scene.colour)
+        self.colour = cpu.three_channels(scene.colour)
         self.static = scene.dynamic <= 127
         geometry = scene.geometry
         geometry.positions[:, 2] *= steep
@@ -240,7 +240,7 @@ def test_planes(name):
 def test_blend(name):
     c = case(name)
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
-    clear = multiview.clear_of_masks(c.static)
+    clear = cpu.clear_of_masks(c.static)
     for k in c.some_views:
         near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
         given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
@@ -323,8 +323,8 @@ def test_planes_straighten_slants():
 
 def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
-    seen = surfaces(multiview.three_channels(scene.colour), scene.geometry, options, cpu)
-    return static_span(seen, scene.dynamic <= 127, scene.geometry, options)
+    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, options, cpu)
+    return static_span(seen, scene.dynamic <= 127, scene.geometry, options, cpu)
 
 
 def test_span_of_the_static_scene():

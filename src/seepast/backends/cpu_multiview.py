@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -10,15 +11,58 @@ import numpy as np
 
 from .. import _core
 from ..candidates import CHUNK, Candidates, DisparityGrid
+from ..confidence import CLOSE, of_views
 from ..geometry import ArrayGeometry
 from ..many import CONFIDENT, CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
+from .host import (
+    averaged,
+    beside,
+    clear_of_masks,
+    enlarged,
+    inner_span,
+    landings,
+    probability,
+    ray_count,
+    three_channels,
+)
+from .one_by_one import OneByOne
 from .reference import FOREGROUND_WEIGHT, NEARER
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "volumes", "votes",
-    "windows", "windows_of_views", "witnesses"
-]  # fmt: skip
+    "aggregate",
+    "aggregates",
+    "averaged",
+    "beside",
+    "blend",
+    "clear_of_masks",
+    "confidence_of",
+    "describe",
+    "enlarged",
+    "everything",
+    "evidence",
+    "fill_unseen",
+    "inner_span",
+    "labels",
+    "landings",
+    "planes",
+    "planes_of_views",
+    "probability",
+    "ray_count",
+    "three_channels",
+    "volume",
+    "volumes",
+    "votes",
+    "windows",
+    "windows_of_views",
+    "witnesses",
+    "witnesses_of_views",
+]
+
+_views = OneByOne(sys.modules[__name__])
+aggregates = _views.aggregates
+witnesses_of_views, planes_of_views = _views.witnesses_of_views, _views.planes_of_views
+everything = Candidates.all
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,9 +193,19 @@ def labels(
 
 
 def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
-    out = np.empty(agree.shape, np.uint8)
-    _core.confidence_of(agree, _bytes(farther), _bytes(static), CONFIDENT, lone, doubtful, out)
+    out, rows = np.empty(agree.shape, np.uint8), (-1, agree.shape[-1])
+    agree, farther, static = (v.reshape(rows) for v in (agree, _bytes(farther), _bytes(static)))
+    _core.confidence_of(agree, farther, static, CONFIDENT, lone, doubtful, out.reshape(rows))
     return out
+
+
+def evidence(
+    d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
+) -> np.ndarray:
+    """Evidence of `confidence.of_views`: uint8 [H, W]."""
+    r = geometry.reference
+    close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
+    return of_views(d, static[r], close, shown)
 
 
 def votes(
