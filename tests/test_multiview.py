@@ -306,7 +306,7 @@ def test_never_seen_pixels_are_flagged():
     blind = np.zeros(scene.disparity.shape, bool)
     blind[24:36, 46:56] = True  # the wall at 12 px moves the masks by up to 12
     assert (found["coverage"][blind] == 0).all()
-    assert np.array_equal(found["coverage"], multiview.ray_count(found["labels"]))
+    assert np.array_equal(found["coverage"], cpu.ray_count(found["labels"]))
 
 
 def test_planes_straighten_slants():
