@@ -7,6 +7,7 @@ what the coarser one found (Candidates), so that its cost hardly depends on the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
@@ -41,9 +42,9 @@ class Level:
         return Level(scale, small, *backend.averaged(colour, static, small.size, scale))
 
     @property
-    def views(self) -> list[ArrayGeometry]:
+    def views(self) -> tuple[ArrayGeometry, ...]:
         """The array as seen from every camera."""
-        return [self.geometry.seen_from(k) for k in range(self.geometry.cameras)]
+        return _views(self.geometry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +70,12 @@ def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:
     return found
 
 
+@lru_cache(maxsize=64)
+def _views(geometry: ArrayGeometry) -> tuple[ArrayGeometry, ...]:
+    return tuple(geometry.seen_from(k) for k in range(geometry.cameras))
+
+
+@lru_cache(maxsize=64)  # the same object for every frame: backends keep tables by it
 def reduced(geometry: ArrayGeometry, scale: int) -> ArrayGeometry:
     """The array with `scale` x `scale` pixels averaged into one."""
     if scale == 1:

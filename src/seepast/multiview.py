@@ -39,13 +39,14 @@ def see_past(
 
     Symbols: x pixel of view r, x^k = W_k(x, d) its ray in camera k, D_k camera k's disparity, c_k its confidence.
     """
-    o, r, people = options.multiview, geometry.reference, backends.people(backend)
+    o, r = options.multiview, geometry.reference
     colour = backend.three_channels(frame.colour)
 
     with clock("surfaces"):  # what every camera sees, people included, at a coarse look
         seen = surfaces(colour, geometry, options, backend)
     dynamic = frame.dynamic
     if options.people.enabled:
+        people = backends.people(backend)
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
             if not trusted(frame.dynamic, seen, geometry, options.people, people):
                 whole = seen.at_full_size(dynamic.shape[1:], backend)
