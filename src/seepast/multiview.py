@@ -7,6 +7,7 @@ per stage, in order, of the backend's many-view module (backends.multiview).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -111,7 +112,8 @@ def at_level(
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
         hides = None if before is None else around_people(before, o.around, backend)
-        area = asked_for(hides, level, o, dynamic_only)
+        area = asked_for(hides, before, o, dynamic_only, backend)
+        everywhere = area is None or bool(area.all())
         candidates = around(before, area, level, grid, o, backend)
         found = np.zeros_like(static, np.uint16) if before is None else before.at(level, backend)
         matched = [k for k in range(K) if candidates[k].chunks]
@@ -124,22 +126,19 @@ def at_level(
         costs = dict(zip(matched, of_matched, strict=True))
         del features  # a fifth of the memory
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
-        better = smoothed(found, level, costs, candidates, first, o, backend)
+        # where views are matched around people only, the coarser level told the others all that this one knows
+        voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
+        better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
     seen = confirmed(better, level, o, backend, clock)
     for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
-        better = seen.disparity.copy()
-        for k in matched:
-            polled = candidates[k]
-            with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                if before is not None and hides is not None and k != r:
-                    polled = polled.where(finer(hides[k], before, level, backend))
-                energy = voted(costs[k], polled, k, seen, views[k], VoteWeights.of(o), backend)
-            with clock("aggregate"):
-                kept = seen.disparity[k]
-                better[k] = backend.aggregate(energy, colour[k], static[k], polled, first, o.paths, kept)
+        with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
+            polled = candidates if hides is None else asked_on(hides, before, level, candidates, backend)
+            energies = voted(costs, polled, seen, VoteWeights.of(o), backend)
+        with clock("aggregate"):
+            of_matched = timed(energies, clock, "votes")
+            better = smoothed(seen.disparity, level, matched, of_matched, polled, first, o, backend)
         seen = confirmed(better, level, o, backend, clock)
     if r in matched:
-        everywhere = area is None or bool(area.all())
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=everywhere)
         smooth = final if everywhere else first
@@ -150,37 +149,50 @@ def at_level(
 def smoothed(
     found: np.ndarray,
     level: Level,
-    costs: dict[int, np.ndarray],
+    matched: list[int],
+    costs: Iterable[np.ndarray],
     candidates: list[Candidates],
     penalties: Penalties,
     o: MultiviewOptions,
     backend: ModuleType,
 ) -> np.ndarray:
-    """uint16 [K, h, w]: what views that have `costs` are matched at; `found` elsewhere."""
-    if not costs:
+    """uint16 [K, h, w]: the `matched` views by their `costs`, where they have candidates; `found` elsewhere."""
+    if not matched:
         return found
-    colour, static, polled, kept = ([of[k] for k in costs] for of in (level.colour, level.static, candidates, found))
-    better = backend.aggregates(costs.values(), colour, static, polled, penalties, o.paths, kept)
-    if len(costs) == len(found):
+    colour, static, polled, kept = ([of[k] for k in matched] for of in (level.colour, level.static, candidates, found))
+    better = backend.aggregates(costs, colour, static, polled, penalties, o.paths, kept)
+    if len(matched) == len(found):
         return better
     whole = found.copy()
-    for k, view in zip(costs, better, strict=True):
+    for k, view in zip(matched, better, strict=True):
         whole[k] = view
     return whole
 
 
 def voted(
-    costs: np.ndarray,
-    candidates: Candidates,
-    k: int,
+    costs: dict[int, np.ndarray],
+    candidates: list[Candidates],
     seen: Views,
-    view: ArrayGeometry,
     weights: VoteWeights,
     backend: ModuleType,
-) -> np.ndarray:
-    """Energies of view k by its costs and the other views' votes."""
-    static = seen.level.static[k]
-    return backend.votes(costs, seen.disparity, seen.confidence, static, view, candidates, k, weights)
+) -> Iterable[np.ndarray]:
+    """Energies of the views by their costs and the other views' votes."""
+    views, matched = seen.level.views, list(costs)
+    static, geometry, polled = ([of[k] for k in matched] for of in (seen.level.static, views, candidates))
+    return backend.votes_of_views(
+        list(costs.values()), seen.disparity, seen.confidence, static, geometry, polled, matched, weights
+    )
+
+
+def timed(made: Iterable[np.ndarray], clock: Clock, stage: str) -> Iterator[np.ndarray]:
+    """The same, with the time that making them takes counted for `stage`."""
+    making = iter(made)
+    while True:
+        with clock(stage):
+            one = next(making, None)
+        if one is None:
+            return
+        yield one
 
 
 def wanted_view(
@@ -216,22 +228,32 @@ def around_people(found: Views, reach: int, backend: ModuleType) -> np.ndarray:
     return backend.beside(backend.landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
 
 
-def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
+def asked_for(
+    hides: np.ndarray | None, before: Views | None, o: MultiviewOptions, dynamic_only: bool, backend: ModuleType
+) -> np.ndarray | None:
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
-    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one; with
-    dynamic_only that one too.
+    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
+    only at what they see themselves, as far as a coarse pixel tells; with dynamic_only that one too.
     """
-    if hides is None:
+    if hides is None or before is None:
         return None
+    r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
-    area[level.geometry.reference] |= not dynamic_only
+    if not o.fine_views:
+        area &= backend.beside(before.level.static, 1)
+    area[r] = hides[r] if dynamic_only else True
     return area
 
 
-def finer(area: np.ndarray, before: Views, level: Level, backend: ModuleType) -> np.ndarray:
-    """bool [h, w] of the coarser level in the pixels of this one."""
-    return backend.enlarged(area[None], before.level.scale // level.scale, level.static.shape[1:])[0]
+def asked_on(
+    hides: np.ndarray, before: Views | None, level: Level, candidates: list[Candidates], backend: ModuleType
+) -> list[Candidates]:
+    """The other views' candidates on what people hide from the wanted one, bool [K, h, w] of the coarser level."""
+    assert before is not None
+    there = backend.enlarged(hides, before.level.scale // level.scale, level.static.shape[1:])
+    r = level.geometry.reference
+    return [own if k == r else own.where(there[k]) for k, own in enumerate(candidates)]
 
 
 def around(

@@ -111,16 +111,19 @@ def see_past(
 
 
 class Clock:
-    """Milliseconds per stage, added up over the rounds."""
+    """Milliseconds per stage, added up over the rounds; a stage within another one counts for itself alone."""
 
     def __init__(self) -> None:
         self.milliseconds: dict[str, float] = {}
+        self._within = 0.0
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start, outer, self._within = time.perf_counter(), self._within, 0.0
         yield
-        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+        passed = 1e3 * (time.perf_counter() - start)
+        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + passed - self._within
+        self._within = outer + passed
 
 
 Images = Sequence[np.ndarray]  # of one instant: see Reconstructor.__call__

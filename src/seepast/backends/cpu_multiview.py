@@ -53,6 +53,7 @@ __all__ = [
     "volume",
     "volumes",
     "votes",
+    "votes_of_views",
     "windows",
     "windows_of_views",
     "witnesses",
@@ -60,8 +61,8 @@ __all__ = [
 ]
 
 _views = OneByOne(sys.modules[__name__])
-aggregates = _views.aggregates
-witnesses_of_views, planes_of_views = _views.witnesses_of_views, _views.planes_of_views
+aggregates, votes_of_views, witnesses_of_views = _views.aggregates, _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
 everything = Candidates.all
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..candidates import Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
-from ..many import PairCosts, Penalties
+from ..many import PairCosts, Penalties, VoteWeights
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,24 @@ class OneByOne:
             self.stages.aggregate(volume, image, still, of, penalties, paths, else_)
             for volume, image, still, of, else_ in zip(costs, images, static, candidates, kept, strict=True)
         ])  # fmt: skip
+
+    def votes_of_views(
+        self,
+        costs: Sequence[np.ndarray],
+        disparities: np.ndarray,
+        confidence: np.ndarray,
+        statics: Sequence[np.ndarray],
+        views: Sequence[ArrayGeometry],
+        candidates: Sequence[Candidates],
+        skips: Sequence[int],
+        weights: VoteWeights,
+    ) -> Iterator[np.ndarray]:
+        """`votes` of n views, made when they are asked for."""
+        each = zip(costs, statics, views, candidates, skips, strict=True)
+        return (
+            self.stages.votes(volume, disparities, confidence, static, view, of, skip, weights)
+            for volume, static, view, of, skip in each
+        )
 
     def witnesses_of_views(
         self, found: np.ndarray, static: np.ndarray, views: Sequence[ArrayGeometry], tolerance: int

@@ -74,6 +74,7 @@ __all__ = [
     "volume",
     "volumes",
     "votes",
+    "votes_of_views",
     "windows",
     "windows_of_views",
     "witnesses",
@@ -82,7 +83,8 @@ __all__ = [
 
 _views = OneByOne(sys.modules[__name__])
 windows_of_views, volumes, aggregates = _views.windows_of_views, _views.volumes, _views.aggregates
-witnesses_of_views, planes_of_views = _views.witnesses_of_views, _views.planes_of_views
+votes_of_views, witnesses_of_views = _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
 everything = Candidates.all
 
 
@@ -192,13 +194,6 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
         any_ray = np.logical_or.reduce([ray[3] for ray in rays])
         out[..., i] = np.where(cost == NO_PAIR, np.where(any_ray, costs.lone, costs.unseen), cost)
     return out[candidates.mask].reshape(-1, CHUNK)
-
-
-def volumes(
-    features: Features, views: list[ArrayGeometry], candidates: list[Candidates], costs: PairCosts
-) -> list[np.ndarray]:
-    """`volume` of several views, each with its candidates of one grid."""
-    return [volume(features, view, own, costs) for view, own in zip(views, candidates, strict=True)]
 
 
 def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
