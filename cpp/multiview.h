@@ -20,10 +20,11 @@ struct Chunks {
   const int32_t* start;    // [H W + 1]
 };
 
-// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height,
-// width].
+// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height, width]
+// and start int32 [height width + 1] are Chunks.
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active);
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
+             int32_t* start);
 
 // Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x +
 // kBlock. The 24 bits of census and valid are three planes each. Outside the image nothing is valid or static

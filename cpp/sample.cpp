@@ -1,5 +1,6 @@
-// Stage "rectify": images and masks through fixed-point maps, bilinear, edges continued. The same as cv2.remap,
-// bit for bit, in half the time, since image and mask are sampled together and edges cost no branches.
+// Stage "rectify": images and masks through fixed-point maps, bilinear, edges continued. The same as
+// cv2.remap, bit for bit, in half the time, since image and mask are sampled together and edges cost no
+// branches.
 #include <algorithm>
 #include <cstring>
 
@@ -11,8 +12,9 @@ namespace {
 constexpr int kBlock = 128;  // pixels: what one step leaves to the next stays in the first-level cache
 constexpr int kSteps = 32;   // of a fraction
 
-// Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist, `right`
-// and `lower` say by how many 32nds the place is nearer to the others, the same in each of four bytes.
+// Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist,
+// `right` and `lower` say by how many 32nds the place is nearer to the others, the same in each of four
+// bytes.
 struct Places {
   int32_t at[kBlock];
   uint32_t right[kBlock], lower[kBlock];
@@ -22,14 +24,17 @@ struct Corners {
   uint32_t pixel[4][kBlock];
 };
 
-[[gnu::always_inline]] inline uint32_t four_times(int weight) { return static_cast<uint32_t>(weight) * 0x01010101u; }
+[[gnu::always_inline]] inline uint32_t four_times(int weight) {
+  return static_cast<uint32_t>(weight) * 0x01010101u;
+}
 
 // Beyond an edge both of two neighbours are the pixel on the edge, which gets all of the weight.
 // Returns the largest `at`.
-[[gnu::always_inline]] inline int find_places(const int16_t* __restrict whole, const uint16_t* __restrict fraction, int count,
-                       int height, int width, Places& places) {
+[[gnu::always_inline]] inline int find_places(const int16_t* __restrict whole,
+                                              const uint16_t* __restrict fraction, int count, int height,
+                                              int width, Places& places) {
   int32_t* __restrict at = places.at;
-  uint32_t *__restrict rights = places.right, *__restrict lowers = places.lower;
+  uint32_t* __restrict rights = places.right, * __restrict lowers = places.lower;
   int largest = 0;
   for (int i = 0; i < count; ++i) {
     int32_t both;  // read as one, since pairs of words make slow loops
@@ -81,8 +86,8 @@ template <class Number>
 }
 
 // The four source pixels of each in a plane, upper ones lowest. Returns whether any is not 0.
-[[gnu::always_inline]] inline bool fetch_plane(const uint8_t* plane, const Places& places, int count, int width,
-                                               uint32_t* fours) {
+[[gnu::always_inline]] inline bool fetch_plane(const uint8_t* plane, const Places& places, int count,
+                                               int width, uint32_t* fours) {
   uint32_t any = 0;
   for (int i = 0; i < count; ++i) {
     const uint8_t* first = plane + places.at[i];
@@ -108,7 +113,8 @@ template <class Number>
   return static_cast<uint8_t>(static_cast<uint16_t>(u + moved + kSteps / 2) / kSteps);
 }
 
-[[gnu::always_inline]] inline void mix(const Corners& corners, const Places& places, int count, uint8_t* __restrict out) {
+[[gnu::always_inline]] inline void mix(const Corners& corners, const Places& places, int count,
+                                       uint8_t* __restrict out) {
   const auto bytes = [](const uint32_t* words) { return reinterpret_cast<const uint8_t*>(words); };
   const uint8_t *a = bytes(corners.pixel[0]), *b = bytes(corners.pixel[1]), *c = bytes(corners.pixel[2]),
                 *d = bytes(corners.pixel[3]), *right = bytes(places.right), *lower = bytes(places.lower);
@@ -116,7 +122,8 @@ template <class Number>
 }
 
 // The first three of every four bytes.
-[[gnu::always_inline]] inline void pack(const uint8_t* __restrict pixels, int count, uint8_t* __restrict out) {
+[[gnu::always_inline]] inline void pack(const uint8_t* __restrict pixels, int count,
+                                        uint8_t* __restrict out) {
   for (int i = 0; i + 1 < count; ++i) std::memcpy(out + 3 * i, pixels + 4 * i, 4);  // the next overwrites one
   std::memcpy(out + 3 * (count - 1), pixels + 4 * (count - 1), 3);
 }

@@ -48,8 +48,7 @@ def windows(
     shape: tuple[int, ...],
 ) -> Candidates:
     active, start = np.empty(shape, np.uint64), np.empty(shape[0] * shape[1] + 1, np.int32)
-    _core.windows(disparity, _bytes(where), ratio, _grid(grid), reach, spread, active)
-    _core.chunk_starts(active, start)
+    _core.windows(disparity, _bytes(where), ratio, _grid(grid), reach, spread, active, start)
     return Candidates(grid, active, start)
 
 
