@@ -343,7 +343,7 @@ def _content_box(camera: Camera, rectified_from_cam: np.ndarray) -> np.ndarray:
     radius = np.hypot(rays[..., 0], rays[..., 1])
     tangent = np.where(rays[..., 2] > radius / limit, radius / np.maximum(rays[..., 2], 1e-12), limit)
     plane = rays[..., :2] / np.maximum(radius, 1e-12)[..., None] * tangent[..., None]
-    middle = np.median(plane, axis=1)
+    middle = np.sort(plane, axis=1)[:, plane.shape[1] // 2]  # np.median would load numpy.ma first: 20 ms
     return np.stack([middle.min(axis=0), middle.max(axis=0)])
 
 
