@@ -11,6 +11,16 @@ namespace {
 constexpr int kLanes = 64;  // rows are rounded up to these, so that no loop over them has a remainder
 constexpr int32_t kOutside = -(1 << 29);  // expected: no disparity agrees with it, and none is farther
 
+SEEPAST_CLONES
+void span(const uint16_t* __restrict d, int count, uint16_t* low, uint16_t* high) {
+  uint16_t least = d[0], most = d[0];
+  for (int x = 0; x < count; ++x) {
+    least = d[x] < least ? d[x] : least;
+    most = d[x] > most ? d[x] : most;
+  }
+  *low = least, *high = most;
+}
+
 // One row's rays into one camera.
 struct Landing {
   Landing(int width, float cx)
@@ -25,8 +35,7 @@ struct Landing {
   void start(const uint16_t* row, int width) {
     std::copy_n(row, width, d.data());
     std::fill(d.begin() + width, d.end(), row[width - 1]);
-    const auto [least, most] = std::minmax_element(row, row + width);
-    low = *least, high = *most;
+    span(d.data(), count, &low, &high);
   }
   int count;
   uint16_t low, high;  // of d
