@@ -20,12 +20,11 @@ struct Chunks {
   const int32_t* start;    // [H W + 1]
 };
 
-// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height,
-// width].
+// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height, width]
+// and start int32 [height width + 1] are Chunks.
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active);
-
-void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start);
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
+             int32_t* start);
 
 struct PairCostParams {
   const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few

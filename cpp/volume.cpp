@@ -232,16 +232,6 @@ Drop drop_of(const std::vector<Volume>& volumes) {
 
 }  // namespace
 
-SEEPAST_CLONES
-void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start) {
-  int32_t before = 0;
-  for (size_t p = 0; p < pixels; ++p) {
-    start[p] = before;
-    before += __builtin_popcountll(active[p]);
-  }
-  start[pixels] = before;
-}
-
 void volumes(const MatchedView* views, int count, const uint8_t* colour, const uint8_t* is_static,
              const int32_t* cubic, const int32_t* luma, const Grid& grid, const PairCostParams& params) {
   std::vector<Volume> all;

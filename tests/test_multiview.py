@@ -147,9 +147,6 @@ def test_chunk_starts(chunks, shape):
     found = Candidates.of(DisparityGrid(0, 8, CHUNK * chunks), active)
     assert_same(found.start, np.append(0, np.cumsum(bits.sum(-1))).astype(np.int32))
     assert_same(found.mask, bits.repeat(CHUNK, -1))
-    start = np.empty_like(found.start)
-    _core.chunk_starts(active, start)
-    assert_same(found.start, start)
     everything = Candidates.all(found.grid, shape)
     assert_same(everything.start, Candidates.of(found.grid, everything.active).start)
 

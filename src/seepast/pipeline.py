@@ -205,7 +205,9 @@ class Reconstructor:
         checked, priors = check_frame(self.rig, images, masks)
         with clock("rectify"):
             kind, spare = self.options.rectify.interpolation, self._spare_frame()
-            frame = self.backend.rectified_frame(self.rectification, checked, priors, kind, self.threads, spare)
+            frame = self.backend.rectified_frame(
+                self.rectification, checked, priors, kind, self.threads, spare, grey=not self.options.multiview.enabled
+            )
         return _Prepared(frame, priors, checked[0].ndim == 3, clock)
 
     def _spare_frame(self) -> Frame | None:
@@ -222,7 +224,11 @@ class Reconstructor:
             method, stages = multiview.see_past, backends.multiview(self.backend)
         found, rounds = method(prepared.frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
-            masks = self.backend.input_masks(self.rectification, found.pop("dynamic"), prepared.masks, self.threads)
+            if found["dynamic"] is prepared.frame.dynamic:  # as they came in
+                masks = tuple(mask.copy() for mask in prepared.masks)
+            else:
+                masks = self.backend.input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
+            del found["dynamic"]
         background = found["background"]
         if np.may_share_memory(background, prepared.frame.colour):
             background = background.copy()

@@ -103,8 +103,7 @@ def windows_of_views(
     K = len(disparity)
     active, start = np.empty((K, *shape), np.uint64), np.empty((K, shape[0] * shape[1] + 1), np.int32)
     for k in range(K):
-        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, active[k])
-        _core.chunk_starts(active[k], start[k])
+        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, active[k], start[k])
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
