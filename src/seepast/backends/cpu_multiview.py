@@ -129,7 +129,7 @@ def volumes(
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
     """np.stack(arrays), without a copy where they are the slices of one array, all in order."""
     whole = arrays[0].base
-    slices = whole is not None and whole.shape == (len(arrays), *arrays[0].shape)
+    slices = isinstance(whole, np.ndarray) and whole.shape == (len(arrays), *arrays[0].shape)
     if slices and all(a.base is whole and a.ctypes.data == whole[i].ctypes.data for i, a in enumerate(arrays)):
         return whole
     return np.stack(arrays)
