@@ -16,7 +16,7 @@ from .cpu import _bytes, _grid
 from .reference import FOREGROUND_WEIGHT, NEARER
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows",
+    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "graded", "labels", "planes", "volume", "votes", "windows",
     "witnesses"
 ]  # fmt: skip
 
@@ -123,6 +123,23 @@ def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lo
     out = np.empty(agree.shape, np.uint8)
     _core.confidence_of(agree, _bytes(farther), _bytes(static), CONFIDENT, lone, doubtful, out)
     return out
+
+
+def graded(
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    confidence, sure = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
+    _core.graded(
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), tolerance,
+        CONFIDENT, lone, doubtful, confidence, sure,
+    )  # fmt: skip
+    return confidence, sure.view(bool)
 
 
 def votes(
