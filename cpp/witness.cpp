@@ -1,6 +1,8 @@
 // What the views say about a view's disparities: witnesses, their confidence, and the labels of its rays.
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <numeric>
 #include <vector>
 
 #include "multiview.h"
@@ -25,33 +27,43 @@ void span(const uint16_t* __restrict d, int count, uint16_t* low, uint16_t* high
 struct Landing {
   explicit Landing(int width)
       : room((width + kLanes - 1) / kLanes * kLanes),
+        count(room),
         x(room),
         at(room),
         expected(room),
         d(room),
-        seen(room) {}
+        seen(room) {
+    std::iota(x.begin(), x.end(), 0);
+  }
   // All of the row.
   void start(const uint16_t* row, int width) {
-    count = room;
-    for (int i = 0; i < room; ++i) x[i] = i;
     std::copy_n(row, width, d.data());
     std::fill(d.begin() + width, d.end(), row[width - 1]);
-    span(d.data(), count, &low, &high);
+    span(d.data(), room, &low, &high);
   }
-  // Those of its rays that `found` is 0 of. Returns how many they are.
-  int rest_of(const Landing& all, const uint8_t* found, int width) {
+  // Only those of `from` that nothing was found of; `found` is 0 or 1. Returns how many they are.
+  int leave(const Landing& from, int many, const uint8_t* found) {
+    const int32_t* from_x = from.x.data();
+    const uint16_t* from_d = from.d.data();
+    int32_t* to_x = x.data();
+    uint16_t* to_d = d.data();
     int n = 0;
-    for (int i = 0; i < width; ++i) {
-      x[n] = i;
-      n += !found[i];
+    for (int first = 0; first < many; first += 8) {  // there is room for as many
+      uint64_t eight;
+      std::memcpy(&eight, found + first, sizeof eight);
+      if (eight == 0x0101010101010101u) continue;
+      for (int i = first; i < std::min(first + 8, many); ++i) {
+        to_x[n] = from_x[i];
+        to_d[n] = from_d[i];
+        n += !found[i];
+      }
     }
     count = (n + kLanes - 1) / kLanes * kLanes;
-    for (int i = 0; i < n; ++i) d[i] = all.d[x[i]];
-    for (int i = n; i < count; ++i) x[i] = 0, d[i] = all.low;
-    low = all.low, high = all.high;
+    low = from.low, high = from.high;
+    for (int i = n; i < count; ++i) to_x[i] = 0, to_d[i] = low;
     return n;
   }
-  int room, count = 0;
+  int room, count;
   uint16_t low = 0, high = 0;  // of d
   std::vector<int32_t> x, at,
       expected;  // column; a pixel of the camera; the disparity expected there, kOutside beyond
@@ -232,7 +244,7 @@ void graded(const Array& array, int view, const uint16_t* d, const uint16_t* dis
 #pragma omp parallel
   {
     Landing all(array.width), rest(array.width);
-    std::vector<uint8_t> same(all.room), beyond(all.room), rest_same(all.room), rest_beyond(all.room);
+    std::vector<uint8_t> same(all.room), beyond(all.room), agree(all.room), farther(all.room);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
@@ -241,15 +253,19 @@ void graded(const Array& array, int view, const uint16_t* d, const uint16_t* dis
       std::fill(beyond.begin(), beyond.end(), 0);
       look(array, others[0], y, disparities, is_static, all);
       count_witnesses(all.seen.data(), all.expected.data(), all.count, tolerance, same.data(), beyond.data());
-      const int left = rest.rest_of(all, same.data(), array.width);
-      std::fill_n(rest_same.begin(), rest.count, 0);
-      for (int i = 0; i < left; ++i) rest_beyond[i] = beyond[rest.x[i]];
+      int left = rest.leave(all, array.width, same.data());
       for (size_t j = 1; left && j < others.size(); ++j) {
         look(array, others[j], y, disparities, is_static, rest);
-        count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, rest_same.data(),
-                        rest_beyond.data());
+        std::fill_n(agree.begin(), rest.count, 0);
+        std::fill_n(farther.begin(), rest.count, 0);
+        count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
+                        farther.data());
+        for (int i = 0; i < left; ++i) {
+          same[rest.x[i]] = agree[i];
+          beyond[rest.x[i]] |= farther[i];
+        }
+        left = j + 1 < others.size() ? rest.leave(rest, left, agree.data()) : 0;
       }
-      for (int i = 0; i < left; ++i) same[rest.x[i]] = rest_same[i], beyond[rest.x[i]] = rest_beyond[i];
       grade(same.data(), beyond.data(), is_static + view * array.pixels() + row, array.width,
             grades.confident, grades.lone, grades.doubtful, confidence + row);
       for (int x = 0; x < array.width; ++x) sure[row + x] = same[x] != 0;
