@@ -16,8 +16,8 @@ from .cpu import _bytes, _grid
 from .reference import FOREGROUND_WEIGHT, NEARER
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "graded", "labels", "planes", "volume", "votes", "windows",
-    "witnesses"
+    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "graded", "labels", "planes", "volume", "votes",
+    "windows", "witnesses"
 ]  # fmt: skip
 
 
