@@ -75,6 +75,11 @@ struct Grades {
 void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* is_static, size_t count,
                    const Grades& grades, uint8_t* out);
 
+// What witnesses and confidence_of make of one of the views: sure where any other agrees.
+void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
+            const uint8_t* is_static, int tolerance, const Grades& grades, uint8_t* confidence,
+            uint8_t* sure);
+
 struct VoteWeights {
   int base, gain, hide, volume;
   bool visible;  // else there are no votes on static pixels, whose energies are not written

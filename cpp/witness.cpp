@@ -1,6 +1,8 @@
 // What the views say about a view's disparities: witnesses, their confidence, and the labels of its rays.
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <numeric>
 #include <vector>
 
 #include "multiview.h"
@@ -23,79 +25,104 @@ void span(const uint16_t* __restrict d, int count, uint16_t* low, uint16_t* high
 
 // One row's rays into one camera.
 struct Landing {
-  Landing(int width, float cx)
-      : count((width + kLanes - 1) / kLanes * kLanes),
-        d(count),
-        off(count),
-        at(count),
-        expected(count),
-        seen(count) {
-    for (int x = 0; x < count; ++x) off[x] = static_cast<float>(x) - cx;
+  explicit Landing(int width)
+      : room((width + kLanes - 1) / kLanes * kLanes),
+        count(room),
+        x(room),
+        at(room),
+        expected(room),
+        d(room),
+        seen(room) {
+    std::iota(x.begin(), x.end(), 0);
   }
+  // All of the row.
   void start(const uint16_t* row, int width) {
     std::copy_n(row, width, d.data());
     std::fill(d.begin() + width, d.end(), row[width - 1]);
-    span(d.data(), count, &low, &high);
+    span(d.data(), room, &low, &high);
   }
-  int count;
-  uint16_t low, high;  // of d
+  // Only those of `from` that nothing was found of; `found` is 0 or 1. Returns how many they are.
+  int leave(const Landing& from, int many, const uint8_t* found) {
+    const int32_t* from_x = from.x.data();
+    const uint16_t* from_d = from.d.data();
+    int32_t* to_x = x.data();
+    uint16_t* to_d = d.data();
+    int n = 0;
+    for (int first = 0; first < many; first += 8) {  // there is room for as many
+      uint64_t eight;
+      std::memcpy(&eight, found + first, sizeof eight);
+      if (eight == 0x0101010101010101u) continue;
+      for (int i = first; i < std::min(first + 8, many); ++i) {
+        to_x[n] = from_x[i];
+        to_d[n] = from_d[i];
+        n += !found[i];
+      }
+    }
+    count = (n + kLanes - 1) / kLanes * kLanes;
+    low = from.low, high = from.high;
+    for (int i = n; i < count; ++i) to_x[i] = 0, to_d[i] = low;
+    return n;
+  }
+  int room, count;
+  uint16_t low = 0, high = 0;  // of d
+  std::vector<int32_t> x, at,
+      expected;  // column; a pixel of the camera; the disparity expected there, kOutside beyond
   std::vector<uint16_t> d;
-  std::vector<float> off;  // of the columns from the centre
-  std::vector<int32_t> at,
-      expected;                // a pixel of the camera; the disparity expected there, kOutside beyond it
   std::vector<uint32_t> seen;  // the disparity found there, and above 16 bits what is static
 };
 
-struct Camera {
+// A row y, and the camera that its rays go to.
+struct Way {
   float offset[kOffsets];
-  int width, height;
+  int width, height, y;
+  float cx, cy;
 };
 
-// Where all of a row's rays are moved by as many rows `level` says so, and `down` by how many.
+// `level`: all of the rays are moved by `down` rows, and end inside the image.
 template <bool level>
-[[gnu::always_inline]] inline void land_all(const uint16_t* __restrict d, const float* __restrict off,
-                                            int count, const Camera& camera, int y, float cy, int down,
-                                            int32_t* __restrict at, int32_t* __restrict expected) {
-  const int width = camera.width, height = camera.height;
-  const float o[kOffsets] = {camera.offset[0], camera.offset[1], camera.offset[2], camera.offset[3],
-                             camera.offset[4]};
-  for (int x = 0; x < count; ++x) {
-    const float units = static_cast<float>(d[x]);
+[[gnu::always_inline]] inline void land_all(const int32_t* __restrict x, const uint16_t* __restrict d,
+                                            int count, const Way& way, int down, int32_t* __restrict at,
+                                            int32_t* __restrict expected) {
+  const int width = way.width, height = way.height, y = way.y;
+  const float cx = way.cx, cy = way.cy;
+  const float o[kOffsets] = {way.offset[0], way.offset[1], way.offset[2], way.offset[3], way.offset[4]};
+  for (int i = 0; i < count; ++i) {
+    const float units = static_cast<float>(d[i]);
     const RayShift shift = ray_shift(o, units / static_cast<float>(kUnits));
-    const int column = x + whole_offset(off[x] * shift.zoom - shift.x + shift.view_x);
+    const int column = x[i] + whole_offset(ray_dx(shift, x[i], cx));
     const int row = y + (level ? down : whole_offset(ray_dy(shift, y, cy)));
     int inside = (column >= 0) & (column < width);
     if (!level) inside &= (row >= 0) & (row < height);
     inside = -inside;
-    at[x] = (row * width + column) & inside;
-    expected[x] = (floor_int(units * (shift.zoom + 1.0f) + 0.5f) & inside) | (kOutside & ~inside);
+    at[i] = (row * width + column) & inside;
+    expected[i] = (floor_int(units * (shift.zoom + 1.0f) + 0.5f) & inside) | (kOutside & ~inside);
   }
 }
 
 SEEPAST_CLONES
-void land_level(const uint16_t* d, const float* off, int count, const Camera& camera, int y, float cy,
-                int down, int32_t* at, int32_t* expected) {
-  land_all<true>(d, off, count, camera, y, cy, down, at, expected);
+void land_level(const int32_t* x, const uint16_t* d, int count, const Way& way, int down, int32_t* at,
+                int32_t* expected) {
+  land_all<true>(x, d, count, way, down, at, expected);
 }
 SEEPAST_CLONES
-void land(const uint16_t* d, const float* off, int count, const Camera& camera, int y, float cy, int32_t* at,
-          int32_t* expected) {
-  land_all<false>(d, off, count, camera, y, cy, 0, at, expected);
+void land(const int32_t* x, const uint16_t* d, int count, const Way& way, int32_t* at, int32_t* expected) {
+  land_all<false>(x, d, count, way, 0, at, expected);
 }
 
 // By how many rows all rays of disparities low .. high are moved, if it is the same for all: the way down
 // changes only one way with disparity, short of the pole. Rounding of that moves rays by less than kRounding
 // rows.
 constexpr float kRounding = 0.01f;
-bool moved_alike(const float* offset, const Landing& landing, int y, float cy, int* down) {
-  float way[2];
-  const uint16_t ends[2] = {landing.low, landing.high};
+bool moved_alike(const Way& way, uint16_t low, uint16_t high, int* down) {
+  float moved[2];
+  const uint16_t ends[2] = {low, high};
   for (int i = 0; i < 2; ++i) {
     const float d = static_cast<float>(ends[i]) / static_cast<float>(kUnits);
-    if (!(1.0f - d * offset[2] > 0.5f && std::abs(static_cast<float>(y) - cy) < 8192.0f)) return false;
-    way[i] = ray_dy(ray_shift(offset, d), y, cy);
+    if (!(1.0f - d * way.offset[2] > 0.5f && std::abs(static_cast<float>(way.y) - way.cy) < 8192.0f))
+      return false;
+    moved[i] = ray_dy(ray_shift(way.offset, d), way.y, way.cy);
   }
-  const auto [least, most] = std::minmax(way[0], way[1]);
+  const auto [least, most] = std::minmax(moved[0], moved[1]);
   *down = whole_offset(least - kRounding);
   return *down == whole_offset(most + kRounding);
 }
@@ -103,19 +130,16 @@ bool moved_alike(const float* offset, const Landing& landing, int y, float cy, i
 // Looks what camera k sees of the landing's d; disparities uint16, is_static uint8 [K, H, W].
 void look(const Array& array, int k, int y, const uint16_t* disparities, const uint8_t* is_static,
           Landing& landing) {
-  Camera camera{{}, array.width, array.height};
-  std::copy_n(array.offsets + kOffsets * k, kOffsets, camera.offset);
-  int32_t* at = landing.at.data();
-  int down = 0;
-  if (!moved_alike(camera.offset, landing, y, array.cy, &down)) {
-    land(landing.d.data(), landing.off.data(), landing.count, camera, y, array.cy, at,
-         landing.expected.data());
+  Way way{{}, array.width, array.height, y, array.cx, array.cy};
+  std::copy_n(array.offsets + kOffsets * k, kOffsets, way.offset);
+  int32_t *at = landing.at.data(), *expected = landing.expected.data(), down = 0;
+  if (!moved_alike(way, landing.low, landing.high, &down)) {
+    land(landing.x.data(), landing.d.data(), landing.count, way, at, expected);
   } else if (y + down >= 0 && y + down < array.height) {
-    land_level(landing.d.data(), landing.off.data(), landing.count, camera, y, array.cy, down, at,
-               landing.expected.data());
+    land_level(landing.x.data(), landing.d.data(), landing.count, way, down, at, expected);
   } else {
-    std::fill(landing.at.begin(), landing.at.end(), 0);
-    std::fill(landing.expected.begin(), landing.expected.end(), kOutside);
+    std::fill_n(at, landing.count, 0);
+    std::fill_n(expected, landing.count, kOutside);
   }
   const uint16_t* view = disparities + k * array.pixels();
   const uint8_t* open = is_static + k * array.pixels();
@@ -164,8 +188,8 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
                int skip, int tolerance, uint8_t* agree, uint8_t* farther) {
 #pragma omp parallel
   {
-    Landing landing(array.width, array.cx);
-    std::vector<uint8_t> same(landing.count), beyond(landing.count);
+    Landing landing(array.width);
+    std::vector<uint8_t> same(landing.room), beyond(landing.room);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
@@ -188,8 +212,8 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
             const uint8_t* is_static, int tolerance, uint16_t* shown, uint16_t* passing) {
 #pragma omp parallel
   {
-    Landing landing(array.width, array.cx);
-    std::vector<uint16_t> same(landing.count), open(landing.count);
+    Landing landing(array.width);
+    std::vector<uint16_t> same(landing.room), open(landing.room);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
@@ -204,6 +228,47 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
       }
       std::copy_n(same.data(), array.width, shown + row);
       std::copy_n(open.data(), array.width, passing + row);
+    }
+  }
+}
+
+// Most pixels agree with the nearest camera, and need no other.
+void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
+            const uint8_t* is_static, int tolerance, const Grades& grades, uint8_t* confidence,
+            uint8_t* sure) {
+  std::vector<int> others;
+  for (int k = 0; k < array.cameras; ++k)
+    if (k != view) others.push_back(k);
+  std::stable_sort(others.begin(), others.end(),
+                   [view](int a, int b) { return std::abs(a - view) < std::abs(b - view); });
+#pragma omp parallel
+  {
+    Landing all(array.width), rest(array.width);
+    std::vector<uint8_t> same(all.room), beyond(all.room), agree(all.room), farther(all.room);
+#pragma omp for schedule(static)
+    for (int y = 0; y < array.height; ++y) {
+      const size_t row = static_cast<size_t>(y) * array.width;
+      all.start(d + row, array.width);
+      std::fill(same.begin(), same.end(), 0);
+      std::fill(beyond.begin(), beyond.end(), 0);
+      look(array, others[0], y, disparities, is_static, all);
+      count_witnesses(all.seen.data(), all.expected.data(), all.count, tolerance, same.data(), beyond.data());
+      int left = rest.leave(all, array.width, same.data());
+      for (size_t j = 1; left && j < others.size(); ++j) {
+        look(array, others[j], y, disparities, is_static, rest);
+        std::fill_n(agree.begin(), rest.count, 0);
+        std::fill_n(farther.begin(), rest.count, 0);
+        count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
+                        farther.data());
+        for (int i = 0; i < left; ++i) {
+          same[rest.x[i]] = agree[i];
+          beyond[rest.x[i]] |= farther[i];
+        }
+        left = j + 1 < others.size() ? rest.leave(rest, left, agree.data()) : 0;
+      }
+      grade(same.data(), beyond.data(), is_static + view * array.pixels() + row, array.width,
+            grades.confident, grades.lone, grades.doubtful, confidence + row);
+      for (int x = 0; x < array.width; ++x) sure[row + x] = same[x] != 0;
     }
   }
 }

@@ -225,6 +225,15 @@ def test_confidence(name):
 
 
 @every_scene
+def test_graded(name):
+    c = case(name)
+    for k in c.some_views:
+        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3
+        for found, expected in zip(cpu.graded(*given), reference.graded(*given), strict=True):
+            assert_same(found, expected)
+
+
+@every_scene
 def test_planes(name):
     c = case(name)
     smooth = (c.disparities[0] // 8 + 300).astype(np.uint16)

@@ -5,6 +5,8 @@ Bilinear sampling is the core's where there is one, in half of OpenCV's time; bo
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import cv2
 import numpy as np
 
@@ -21,12 +23,13 @@ def sampled(
 ) -> np.ndarray:
     """uint8 [h, w] or [h, w, C] at `rows` of the places: uint8 [n, W] or [n, W, C]; `out`, if given, is written."""
     whole, fraction = (part[rows] for part in places)
-    if interpolation == "linear" and _core_takes(image):
+    own = _core_for(image) if interpolation == "linear" else None
+    if own is not None:
         out = np.empty((*fraction.shape, *image.shape[2:]), np.uint8) if out is None else out
         if image.ndim == 2:
-            core().sample_plane(image, whole, fraction, out)
+            own.sample_plane(image, whole, fraction, out)
         else:
-            core().sample_colour(image, _NO_MASK, whole, fraction, out, _NO_MASK)
+            own.sample_colour(image, _NO_MASK, whole, fraction, out, _NO_MASK)
         return out
     return cv2.remap(image, whole, fraction, INTERPOLATION[interpolation], dst=out, borderMode=cv2.BORDER_REPLICATE)
 
@@ -36,13 +39,15 @@ def sampled_together(
 ) -> None:
     """Both bilinear, into `out` uint8 [n, W, 3] and `mask_out` uint8 [n, W]: maps are read and places found once."""
     whole, fraction = (part[rows] for part in places)
-    if _core_takes(image):
-        core().sample_colour(image, mask, whole, fraction, out, mask_out)
+    own = _core_for(image)
+    if own is not None:
+        own.sample_colour(image, mask, whole, fraction, out, mask_out)
     else:
         sampled(image, places, "linear", rows, out)
         sampled(mask, places, "linear", rows, mask_out)
 
 
-def _core_takes(image: np.ndarray) -> bool:
+def _core_for(image: np.ndarray) -> ModuleType | None:
+    """The core, if there is one that takes such an image."""
     kind = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
-    return core() is not None and kind and min(image.shape[:2]) > 1 and image.flags.c_contiguous
+    return core() if kind and min(image.shape[:2]) > 1 and image.flags.c_contiguous else None

@@ -41,6 +41,7 @@ __all__ = [
     "everything",
     "evidence",
     "fill_unseen",
+    "graded",
     "inner_span",
     "labels",
     "landings",
@@ -208,6 +209,23 @@ def evidence(
     r = geometry.reference
     close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
     return of_views(d, static[r], close, shown)
+
+
+def graded(
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    confidence, sure = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
+    _core.graded(
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), tolerance,
+        CONFIDENT, lone, doubtful, confidence, sure,
+    )  # fmt: skip
+    return confidence, sure.view(bool)
 
 
 def votes(
