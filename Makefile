@@ -33,7 +33,7 @@ BENCH := $(if $(PRESETS),--presets "$(PRESETS)") $(if $(WRITE),--write "$(WRITE)
 bench: bench-speed
 
 bench-speed: $(VENV)/.test-installed
-	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick)
+	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick) $(if $(LIBELAS),--libelas "$(LIBELAS)")
 
 bench-gpu: $(VENV)/.test-installed
 	@$(PY) benchmarks/gpu.py $(if $(PRESETS),--presets "$(PRESETS)") $(if $(WRITE),--write "$(WRITE)")

@@ -1,6 +1,8 @@
 // What the views say about a view's disparities: witnesses, their confidence, and the labels of its rays.
 #include <algorithm>
 #include <cstdlib>
+#include <cstring>
+#include <numeric>
 #include <vector>
 
 #include "multiview.h"
@@ -11,40 +13,136 @@ namespace {
 constexpr int kLanes = 64;  // rows are rounded up to these, so that no loop over them has a remainder
 constexpr int32_t kOutside = -(1 << 29);  // expected: no disparity agrees with it, and none is farther
 
+SEEPAST_CLONES
+void span(const uint16_t* __restrict d, int count, uint16_t* low, uint16_t* high) {
+  uint16_t least = d[0], most = d[0];
+  for (int x = 0; x < count; ++x) {
+    least = d[x] < least ? d[x] : least;
+    most = d[x] > most ? d[x] : most;
+  }
+  *low = least, *high = most;
+}
+
 // One row's rays into one camera.
 struct Landing {
   explicit Landing(int width)
-      : count((width + kLanes - 1) / kLanes * kLanes), d(count), at(count), expected(count), seen(count) {}
-  int count;
+      : room((width + kLanes - 1) / kLanes * kLanes),
+        count(room),
+        x(room),
+        at(room),
+        expected(room),
+        d(room),
+        seen(room) {
+    std::iota(x.begin(), x.end(), 0);
+  }
+  // All of the row.
+  void start(const uint16_t* row, int width) {
+    std::copy_n(row, width, d.data());
+    std::fill(d.begin() + width, d.end(), row[width - 1]);
+    span(d.data(), room, &low, &high);
+  }
+  // Only those of `from` that nothing was found of; `found` is 0 or 1. Returns how many they are.
+  int leave(const Landing& from, int many, const uint8_t* found) {
+    const int32_t* from_x = from.x.data();
+    const uint16_t* from_d = from.d.data();
+    int32_t* to_x = x.data();
+    uint16_t* to_d = d.data();
+    int n = 0;
+    for (int first = 0; first < many; first += 8) {  // there is room for as many
+      uint64_t eight;
+      std::memcpy(&eight, found + first, sizeof eight);
+      if (eight == 0x0101010101010101u) continue;
+      for (int i = first; i < std::min(first + 8, many); ++i) {
+        to_x[n] = from_x[i];
+        to_d[n] = from_d[i];
+        n += !found[i];
+      }
+    }
+    count = (n + kLanes - 1) / kLanes * kLanes;
+    low = from.low, high = from.high;
+    for (int i = n; i < count; ++i) to_x[i] = 0, to_d[i] = low;
+    return n;
+  }
+  int room, count;
+  uint16_t low = 0, high = 0;  // of d
+  std::vector<int32_t> x, at,
+      expected;  // column; a pixel of the camera; the disparity expected there, kOutside beyond
   std::vector<uint16_t> d;
-  std::vector<int32_t> at,
-      expected;                // a pixel of the camera; the disparity expected there, kOutside beyond it
   std::vector<uint32_t> seen;  // the disparity found there, and above 16 bits what is static
 };
 
-SEEPAST_CLONES
-void land(const uint16_t* __restrict d, int count, int y, int width, int height, float ax, float ay, float az,
-          float sx, float sy, float cx, float cy, int32_t* __restrict at, int32_t* __restrict expected) {
-  const float offset[kOffsets] = {ax, ay, az, sx, sy};
-  for (int x = 0; x < count; ++x) {
-    const float units = static_cast<float>(d[x]);
-    const RayShift shift = ray_shift(offset, units / static_cast<float>(kUnits));
-    const int column = x + whole_offset(ray_dx(shift, x, cx)), row = y + whole_offset(ray_dy(shift, y, cy));
-    const int inside = -((column >= 0) & (column < width) & (row >= 0) & (row < height));
-    at[x] = (row * width + column) & inside;
-    expected[x] = (floor_int(units * (shift.zoom + 1.0f) + 0.5f) & inside) | (kOutside & ~inside);
+// A row y, and the camera that its rays go to.
+struct Way {
+  float offset[kOffsets];
+  int width, height, y;
+  float cx, cy;
+};
+
+// `level`: all of the rays are moved by `down` rows, and end inside the image.
+template <bool level>
+[[gnu::always_inline]] inline void land_all(const int32_t* __restrict x, const uint16_t* __restrict d,
+                                            int count, const Way& way, int down, int32_t* __restrict at,
+                                            int32_t* __restrict expected) {
+  const int width = way.width, height = way.height, y = way.y;
+  const float cx = way.cx, cy = way.cy;
+  const float o[kOffsets] = {way.offset[0], way.offset[1], way.offset[2], way.offset[3], way.offset[4]};
+  for (int i = 0; i < count; ++i) {
+    const float units = static_cast<float>(d[i]);
+    const RayShift shift = ray_shift(o, units / static_cast<float>(kUnits));
+    const int column = x[i] + whole_offset(ray_dx(shift, x[i], cx));
+    const int row = y + (level ? down : whole_offset(ray_dy(shift, y, cy)));
+    int inside = (column >= 0) & (column < width);
+    if (!level) inside &= (row >= 0) & (row < height);
+    inside = -inside;
+    at[i] = (row * width + column) & inside;
+    expected[i] = (floor_int(units * (shift.zoom + 1.0f) + 0.5f) & inside) | (kOutside & ~inside);
   }
+}
+
+SEEPAST_CLONES
+void land_level(const int32_t* x, const uint16_t* d, int count, const Way& way, int down, int32_t* at,
+                int32_t* expected) {
+  land_all<true>(x, d, count, way, down, at, expected);
+}
+SEEPAST_CLONES
+void land(const int32_t* x, const uint16_t* d, int count, const Way& way, int32_t* at, int32_t* expected) {
+  land_all<false>(x, d, count, way, 0, at, expected);
+}
+
+// By how many rows all rays of disparities low .. high are moved, if it is the same for all: the way down
+// changes only one way with disparity, short of the pole. Rounding of that moves rays by less than kRounding
+// rows.
+constexpr float kRounding = 0.01f;
+bool moved_alike(const Way& way, uint16_t low, uint16_t high, int* down) {
+  float moved[2];
+  const uint16_t ends[2] = {low, high};
+  for (int i = 0; i < 2; ++i) {
+    const float d = static_cast<float>(ends[i]) / static_cast<float>(kUnits);
+    if (!(1.0f - d * way.offset[2] > 0.5f && std::abs(static_cast<float>(way.y) - way.cy) < 8192.0f))
+      return false;
+    moved[i] = ray_dy(ray_shift(way.offset, d), way.y, way.cy);
+  }
+  const auto [least, most] = std::minmax(moved[0], moved[1]);
+  *down = whole_offset(least - kRounding);
+  return *down == whole_offset(most + kRounding);
 }
 
 // Looks what camera k sees of the landing's d; disparities uint16, is_static uint8 [K, H, W].
 void look(const Array& array, int k, int y, const uint16_t* disparities, const uint8_t* is_static,
           Landing& landing) {
-  const float* o = array.offsets + kOffsets * k;
-  land(landing.d.data(), landing.count, y, array.width, array.height, o[0], o[1], o[2], o[3], o[4], array.cx,
-       array.cy, landing.at.data(), landing.expected.data());
+  Way way{{}, array.width, array.height, y, array.cx, array.cy};
+  std::copy_n(array.offsets + kOffsets * k, kOffsets, way.offset);
+  int32_t *at = landing.at.data(), *expected = landing.expected.data(), down = 0;
+  if (!moved_alike(way, landing.low, landing.high, &down)) {
+    land(landing.x.data(), landing.d.data(), landing.count, way, at, expected);
+  } else if (y + down >= 0 && y + down < array.height) {
+    land_level(landing.x.data(), landing.d.data(), landing.count, way, down, at, expected);
+  } else {
+    std::fill_n(at, landing.count, 0);
+    std::fill_n(expected, landing.count, kOutside);
+  }
   const uint16_t* view = disparities + k * array.pixels();
   const uint8_t* open = is_static + k * array.pixels();
-  const int32_t* at = landing.at.data();
   uint32_t* seen = landing.seen.data();
   for (int x = 0; x < landing.count; x += 4)
     for (int i = x; i < x + 4; ++i) seen[i] = view[at[i]] | static_cast<uint32_t>(open[at[i]]) << 16;
@@ -91,11 +189,11 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
 #pragma omp parallel
   {
     Landing landing(array.width);
-    std::vector<uint8_t> same(landing.count), beyond(landing.count);
+    std::vector<uint8_t> same(landing.room), beyond(landing.room);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      std::copy_n(d + row, array.width, landing.d.data());
+      landing.start(d + row, array.width);
       std::fill(same.begin(), same.end(), 0);
       std::fill(beyond.begin(), beyond.end(), 0);
       for (int k = 0; k < array.cameras; ++k) {
@@ -115,11 +213,11 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 #pragma omp parallel
   {
     Landing landing(array.width);
-    std::vector<uint16_t> same(landing.count), open(landing.count);
+    std::vector<uint16_t> same(landing.room), open(landing.room);
 #pragma omp for schedule(static)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      std::copy_n(d + row, array.width, landing.d.data());
+      landing.start(d + row, array.width);
       std::fill(same.begin(), same.end(), 0);
       std::fill(open.begin(), open.end(), 0);
       for (int k = 0; k < array.cameras; ++k) {
@@ -130,6 +228,47 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
       }
       std::copy_n(same.data(), array.width, shown + row);
       std::copy_n(open.data(), array.width, passing + row);
+    }
+  }
+}
+
+// Most pixels agree with the nearest camera, and need no other.
+void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
+            const uint8_t* is_static, int tolerance, const Grades& grades, uint8_t* confidence,
+            uint8_t* sure) {
+  std::vector<int> others;
+  for (int k = 0; k < array.cameras; ++k)
+    if (k != view) others.push_back(k);
+  std::stable_sort(others.begin(), others.end(),
+                   [view](int a, int b) { return std::abs(a - view) < std::abs(b - view); });
+#pragma omp parallel
+  {
+    Landing all(array.width), rest(array.width);
+    std::vector<uint8_t> same(all.room), beyond(all.room), agree(all.room), farther(all.room);
+#pragma omp for schedule(static)
+    for (int y = 0; y < array.height; ++y) {
+      const size_t row = static_cast<size_t>(y) * array.width;
+      all.start(d + row, array.width);
+      std::fill(same.begin(), same.end(), 0);
+      std::fill(beyond.begin(), beyond.end(), 0);
+      look(array, others[0], y, disparities, is_static, all);
+      count_witnesses(all.seen.data(), all.expected.data(), all.count, tolerance, same.data(), beyond.data());
+      int left = rest.leave(all, array.width, same.data());
+      for (size_t j = 1; left && j < others.size(); ++j) {
+        look(array, others[j], y, disparities, is_static, rest);
+        std::fill_n(agree.begin(), rest.count, 0);
+        std::fill_n(farther.begin(), rest.count, 0);
+        count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
+                        farther.data());
+        for (int i = 0; i < left; ++i) {
+          same[rest.x[i]] = agree[i];
+          beyond[rest.x[i]] |= farther[i];
+        }
+        left = j + 1 < others.size() ? rest.leave(rest, left, agree.data()) : 0;
+      }
+      grade(same.data(), beyond.data(), is_static + view * array.pixels() + row, array.width,
+            grades.confident, grades.lone, grades.doubtful, confidence + row);
+      for (int x = 0; x < array.width; ++x) sure[row + x] = same[x] != 0;
     }
   }
 }

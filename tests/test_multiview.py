@@ -111,32 +111,6 @@ def threads():
 
 
 @every_scene
-def test_describe(name):
-    c = case(name)
-    expected, found = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
-    width = c.static.shape[2]
-    inner = slice(_core.BLOCK, _core.BLOCK + width)
-    rows = np.moveaxis(found.planes, 2, 1)  # [K, planes, H, stride]
-    assert not np.delete(rows, np.r_[inner], axis=-1)[:, -2:].any()  # nothing is static beside the image
-    inside = rows[..., inner]
-    for p in range(4):
-        assert_same(expected.census[:, p], word(inside[:, 6 * p : 6 * p + 3]))
-        assert_same(np.moveaxis(expected.colour[:, p], -1, 1), inside[:, 6 * p + 3 : 6 * p + 6])
-    for p in range(2):
-        assert_same(expected.valid[:, p], word(inside[:, 24 + 4 * p : 27 + 4 * p]))
-        assert_same(expected.static[:, p], inside[:, 27 + 4 * p].astype(bool))
-    unclear = np.unpackbits(found.unclear.view(np.uint8), axis=-1, bitorder="little")[..., : rows.shape[-1]]
-    clear = (expected.valid == (1 << 24) - 1) & expected.static
-    assert_same(clear[:, :2], np.moveaxis(unclear[..., inner] == 0, 2, 1))
-    assert np.delete(unclear, np.r_[inner], axis=-1).all()
-
-
-def word(planes: np.ndarray) -> np.ndarray:
-    """Three planes of bytes [K, 3, H, W] as one of 24 bits."""
-    return (planes.astype(np.uint32) << np.array([0, 8, 16], np.uint32)[:, None, None]).sum(1, dtype=np.uint32)
-
-
-@every_scene
 @pytest.mark.parametrize("kind", KINDS)
 def test_volume(name, kind):
     c = case(name)
@@ -149,6 +123,22 @@ def test_volume(name, kind):
             )
 
 
+@every_scene
+def test_volumes(name):
+    """All views at once, rows of them here and there: what is kept of the rows before must be the right ones."""
+    c = case(name)
+    grid, rng = VOLUME_GRIDS[0], np.random.default_rng(3)
+    candidates = []
+    for k in c.some_views:
+        rows = rng.random(c.static.shape[1]) < (0.1, 0.5, 0.9)[k % 3]
+        some = np.where(rows[:, None], rng.integers(0, 1 << (grid.count // CHUNK), c.static.shape[1:]), 0)
+        candidates.append(Candidates.of(grid, some.astype(np.uint64)))
+    views = [c.views[k] for k in c.some_views]
+    found = [b.volumes(b.describe(c.colour, c.static), views, candidates, COSTS) for b in (reference, cpu)]
+    for expected, volume in zip(*found, strict=True):
+        assert_same(expected, volume)
+
+
 @pytest.mark.parametrize("chunks", [1, 5, 64])
 @pytest.mark.parametrize("shape", [(1, 1), (3, 70), (41, 13)])
 def test_chunk_starts(chunks, shape):
@@ -157,9 +147,6 @@ def test_chunk_starts(chunks, shape):
     found = Candidates.of(DisparityGrid(0, 8, CHUNK * chunks), active)
     assert_same(found.start, np.append(0, np.cumsum(bits.sum(-1))).astype(np.int32))
     assert_same(found.mask, bits.repeat(CHUNK, -1))
-    start = np.empty_like(found.start)
-    _core.chunk_starts(active, start)
-    assert_same(found.start, start)
     everything = Candidates.all(found.grid, shape)
     assert_same(everything.start, Candidates.of(found.grid, everything.active).start)
 
@@ -235,6 +222,15 @@ def test_confidence(name):
     c = case(name)
     agree, farther = reference.witnesses(c.disparities[0], c.disparities, c.static, c.views[0], 1, UNITS)
     assert_same(*(b.confidence_of(agree, farther, c.static[0], 14, 3) for b in (reference, cpu)))
+
+
+@every_scene
+def test_graded(name):
+    c = case(name)
+    for k in c.some_views:
+        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3
+        for found, expected in zip(cpu.graded(*given), reference.graded(*given), strict=True):
+            assert_same(found, expected)
 
 
 @every_scene

@@ -18,15 +18,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arrays import SPACING, make_scene
+from arrays import SPACING, Scene, make_scene
 from replay import record
 from seepast import Options, Rig, _core, reconstruct
+from seepast.backends import cpu_multiview
 from seepast.threads import cores
 
 ROOT = Path(__file__).parents[1]
 BUILDS = ROOT / "build" / "replay"
 PRESETS = ("paper", "accurate", "fast")
 LEVELS = ("baseline", "AVX2", "AVX-512")
+LENS = (-0.05, 0.01, 0.0, 0.0)
 CROSS = (
     "-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++",
     "-DCMAKE_SYSTEM_NAME=Linux",
@@ -35,13 +37,15 @@ CROSS = (
 
 
 def crooked(rig: Rig) -> Rig:
-    """The rig with its cameras off their line, so that views are enlarged and shifted down by disparity."""
+    """The rig with its cameras off their line, so that views are enlarged and shifted down by disparity; and seen
+    through lenses, so that they must be rectified."""
     rng = np.random.default_rng(1)
     cameras = list(rig.cameras)
     for k in range(1, len(cameras)):
         pose = cameras[k].cam_from_rig.copy()
         pose[1:3, 3] += rng.uniform(-0.02, 0.02, 2)
         cameras[k] = replace(cameras[k], cam_from_rig=pose)
+    cameras = [replace(camera, distortion="radtan", distortion_coeffs=LENS) for camera in cameras]
     return replace(rig, cameras=tuple(cameras))
 
 
@@ -54,6 +58,15 @@ def see_past(preset: str) -> None:
         if cameras == 3:
             rig = crooked(rig)
         reconstruct(list(scene.views), scene.masks, rig, options=options, dynamic_only=cameras == 3)
+        if preset == "fast":
+            grade(scene)
+
+
+def grade(scene: Scene) -> None:
+    """What no preset calls."""
+    static = scene.dynamic <= 127
+    disparities = np.random.default_rng(2).integers(0, 400, static.shape).astype(np.uint16) // 32 * 32
+    cpu_multiview.graded(disparities[0], disparities, static, scene.geometry, 32, 14, 3)
 
 
 @pytest.fixture(scope="module")

@@ -112,7 +112,8 @@ def at_level(
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
         hides = None if before is None else around_people(before, o.around, backend)
-        area = asked_for(hides, level, o, dynamic_only)
+        area = asked_for(hides, before, o, dynamic_only, backend)
+        everywhere = area is None or bool(area.all())
         candidates = around(before, area, level, grid, o, backend)
         found = np.zeros_like(static, np.uint16) if before is None else before.at(level, backend)
         matched = [k for k in range(K) if candidates[k].chunks]
@@ -125,7 +126,9 @@ def at_level(
         costs = dict(zip(matched, of_matched, strict=True))
         del features  # a fifth of the memory
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
-        better = smoothed(found, level, matched, costs.values(), candidates, first, o, backend)
+        # where views are matched around people only, the coarser level told the others all that this one knows
+        voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
+        better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
     seen = confirmed(better, level, o, backend, clock)
     for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
         with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
@@ -136,7 +139,6 @@ def at_level(
             better = smoothed(seen.disparity, level, matched, of_matched, polled, first, o, backend)
         seen = confirmed(better, level, o, backend, clock)
     if r in matched:
-        everywhere = area is None or bool(area.all())
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=everywhere)
         smooth = final if everywhere else first
@@ -229,16 +231,21 @@ def around_people(found: Views, reach: int, backend: ModuleType) -> np.ndarray:
     return backend.beside(backend.landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
 
 
-def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
+def asked_for(
+    hides: np.ndarray | None, before: Views | None, o: MultiviewOptions, dynamic_only: bool, backend: ModuleType
+) -> np.ndarray | None:
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
-    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one; with
-    dynamic_only that one too.
+    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
+    only at what they see themselves, as far as a coarse pixel tells; with dynamic_only that one too.
     """
-    if hides is None:
+    if hides is None or before is None:
         return None
+    r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
-    area[level.geometry.reference] |= not dynamic_only
+    if not o.fine_views:
+        area &= backend.beside(before.level.static, 1)
+    area[r] = hides[r] if dynamic_only else True
     return area
 
 

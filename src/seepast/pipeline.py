@@ -255,7 +255,8 @@ class Reconstructor:
             with backend.lane("rectify"):
                 backend.after(given)
                 spare = self._spare_frame()
-                frame = backend.rectified_frame(self.rectification, images, masks, kind, self.threads, spare)
+                grey = not self.options.multiview.enabled
+                frame = backend.rectified_frame(self.rectification, images, masks, kind, self.threads, spare, grey=grey)
                 return _Prepared(backend, frame, images, masks, clock, backend.mark())
 
     def _give_up(self, error: DeviceError) -> None:
@@ -291,7 +292,11 @@ class Reconstructor:
             method, stages = multiview.see_past, backends.multiview(backend)
         found, rounds = method(prepared.frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
-            masks = backend.input_masks(self.rectification, found.pop("dynamic"), prepared.masks, self.threads)
+            dynamic = found.pop("dynamic")
+            if dynamic is prepared.frame.dynamic:  # as they came in
+                masks = tuple(mask.copy() for mask in prepared.masks)
+            else:
+                masks = backend.input_masks(self.rectification, dynamic, prepared.masks, self.threads)
         background = found["background"]
         if np.may_share_memory(background, prepared.frame.colour):
             background = background.copy()

@@ -22,7 +22,8 @@ class Result:
     coverage    uint8 [H, W]: how many cameras' static rays the pixel rests on. 0 = no camera saw it: what
                 stands there is a guess
     labels      uint16 [H, W]: which rays, bit k = camera k
-    masks       K x uint8 [h, w]: 255 * refined P(dynamic), in each camera's own input pixels
+    masks       K x uint8 [h, w]: 255 * refined P(dynamic), in each camera's own input pixels; the
+                masks that came in where there was nothing to refine
     geometry    the view and the array that all of this lives in
     timings     milliseconds per stage
     rounds      EM rounds until the labels stood still

@@ -58,6 +58,16 @@ def on_host(array: Any) -> np.ndarray:
     return array if isinstance(array, np.ndarray) else device.current().download(array)
 
 
+@cache
+def core() -> ModuleType | None:
+    """The C++ core, for what is no stage of a backend; None where it was not built."""
+    try:
+        with _idle_threads_sleep():
+            return importlib.import_module("seepast._core")
+    except ImportError:
+        return None
+
+
 @contextmanager
 def _idle_threads_sleep() -> Iterator[None]:
     """Idle threads of the loops sleep, where the user has not said otherwise.

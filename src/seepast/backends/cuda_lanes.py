@@ -47,12 +47,12 @@ def fetched(found: dict[str, Any], keep: bool = False) -> Callable[[], dict[str,
 
         def ready() -> dict[str, Any]:
             used.wait(done)
-            return found
+            return {name: _each(lambda part: _upload(used, part), value) for name, value in found.items()}
 
         return ready
     with used.lane("download"):
         used.after(done)
-        there = {name: _each(used.fetch, value) for name, value in found.items()}
+        there = {name: _each(lambda part: _fetch(used, part), value) for name, value in found.items()}
         arrived = used.mark()
 
     def waited() -> dict[str, Any]:
@@ -61,6 +61,14 @@ def fetched(found: dict[str, Any], keep: bool = False) -> Callable[[], dict[str,
         return there
 
     return waited
+
+
+def _upload(used: device.Device, part: Any) -> Any:
+    return used.upload(part) if isinstance(part, np.ndarray) else part
+
+
+def _fetch(used: device.Device, part: Any) -> np.ndarray:
+    return part if isinstance(part, np.ndarray) else used.fetch(part)
 
 
 def _each(function: Callable[[Any], Any], value: Any) -> Any:

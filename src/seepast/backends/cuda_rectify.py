@@ -28,17 +28,19 @@ def rectified_frame(
     interpolation: str = "cubic",
     threads: int = 0,
     out: Frame | None = None,
+    *,
+    grey: bool = True,
 ) -> Frame:
     """frames.rectified_frame: K images uint8 [h, w] or [h, w, 3] and K masks uint8 [h, w], NumPy's or the device's, as
-    a Frame of the device's arrays. threads and out mean nothing here."""
+    a Frame of the device's arrays. threads, out and grey mean nothing here."""
     used, K = device.current(), len(images)
     width, height = rectification.geometry.size
     images, masks = [on_device(image) for image in images], [on_device(mask) for mask in masks]
     channels = images[0].shape[2] if images[0].ndim == 3 else 1
     maps = _kept(rectification).from_input
     colour = used.xp.empty((K, height, width, channels), np.uint8)
-    grey = colour[..., 0] if channels == 1 else used.xp.empty((K, height, width), np.uint8)
-    frame = Frame(colour, grey, used.xp.empty((K, height, width), np.uint8))
+    only = colour[..., 0] if channels == 1 else used.xp.empty((K, height, width), np.uint8)
+    frame = Frame(colour, only, used.xp.empty((K, height, width), np.uint8))
     used.launch(
         "rectify", "rectify", grid=(-(-width // 32), -(-height // 8), K), block=(32, 8),
         args=[

@@ -457,6 +457,22 @@ def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lo
     return np.where(static, c, 0).astype(np.uint8)
 
 
+def graded(
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `witnesses` and `confidence_of` say of the view's disparities: c in 20ths, uint8 [H, W]; and whether
+    another view agrees, bool [H, W]. At once, since then a pixel that one view confirms needs no other."""
+    k = geometry.reference
+    agree, farther = witnesses(disparity, disparities, static, geometry, k, tolerance)
+    return confidence_of(agree, farther, static[k], lone, doubtful), agree > 0
+
+
 # ------------------------------------------------------------------------------------------------- planes
 
 
