@@ -253,9 +253,9 @@ def disparity(
     options: Options,
 ) -> Any:
     used = device.current()
-    gradients = used.xp.empty(static.size + 1, np.uint32)  # the pixel right of the last one is read too
+    gradients = used.xp.empty(static.size + 1, np.uint32)
     used.launch(
-        "disparity", "static_gradients", grid=(lines(static.size),), block=(LINE,),
+        "disparity", "static_gradients", grid=(lines(static.size + 1),), block=(LINE,),
         args=[features.gradients, static, np.int32(static.size), gradients],
     )  # fmt: skip
     out = used.xp.empty(wanted.shape, np.float32)

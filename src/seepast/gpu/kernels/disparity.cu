@@ -78,15 +78,17 @@ static __device__ RayShift shift_of(const float* shifts, const float* offsets, i
   return {of_candidate[0], of_candidate[1], of_candidate[2], of_camera[3], of_camera[4]};
 }
 
-// Gradients as matching reads them, uint32 [K, H, W] and one more: (du + 128) | (dv + 128) << 16 | kStatic,
-// or 0 where not static. gradients [K, H, W] of two signed bytes. One thread per pixel.
+// Gradients as matching reads them, uint32 [K H W + 1]: (du + 128) | (dv + 128) << 16 | kStatic,
+// or 0 where not static, and at the end, which is read beside the last pixel. gradients [K, H, W] of two
+// signed bytes. One thread per pixel.
 extern "C" __global__ void __launch_bounds__(kThreads)
     static_gradients(const uchar2* __restrict__ gradients, const uint8_t* __restrict__ is_static, int count,
                      uint32_t* __restrict__ out) {
   const int i = blockIdx.x * kThreads + threadIdx.x;
-  if (i >= count) return;
-  const uchar2 g = gradients[i];
-  out[i] = is_static[i] ? (g.x ^ 128u) | (g.y ^ 128u) << 16 | kStatic : 0;
+  if (i > count) return;
+  uint32_t pair = 0;
+  if (i < count && is_static[i]) pair = (gradients[i].x ^ 128u) | (gradients[i].y ^ 128u) << 16 | kStatic;
+  out[i] = pair;
 }
 
 // Where the rays of a column of places end in one camera: left of two pixels, the weight of the right one.
