@@ -26,9 +26,10 @@ SCENES = {
     "3, middle, residual, soft": lambda: make_scene(3, (71, 35), reference=1, residual=True, masks="soft", colour=True),
     "all dynamic": lambda: make_scene(3, (66, 32), masks="all", colour=True),
     "16": lambda: make_scene(16, (65, 17), reference=3, residual=True),
+    "nothing hidden": lambda: make_scene(3, (66, 32), masks="none", colour=True),
     "4, what is hidden only": lambda: make_scene(4, (69, 33), residual=True, colour=True),
 }
-PARTIAL = ("4, what is hidden only",)
+PARTIAL = ("4, what is hidden only", "nothing hidden")
 SMALL = {"range.max_disparity": 60, "range.step": 1, "support.texture": 20}
 
 

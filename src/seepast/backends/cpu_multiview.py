@@ -114,6 +114,8 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
 def volumes(
     features: Features, views: list[ArrayGeometry], candidates: list[Candidates], costs: PairCosts
 ) -> list[np.ndarray]:
+    if not views:  # nothing is asked for
+        return []
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
     out = np.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
