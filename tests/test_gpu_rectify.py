@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from cuda_on_cpu import EmulatedDevice, StrictDevice
+from cuda_on_cpu.memory import RUBBISH
 from seepast import frames
 from seepast.backends import cuda
 from seepast.backends.cuda_rectify import cubic_weights
@@ -97,9 +98,14 @@ def test_a_frame(name, colour, interpolation):
     images, masks = pictures(rig, colour)
     expected = frames.rectified_frame(rectification, images, masks, interpolation)
     found = from_device(lambda used: cuda.rectified_frame(rectification, images, masks, interpolation))
+    bare = from_device(lambda used: cuda.rectified_frame(rectification, images, masks, interpolation, grey=False))
     exact = interpolation == "linear" or OPENCV_5
     for part in ("colour", "grey", "dynamic"):
         assert_same(getattr(expected, part), getattr(found, part), exact or part == "dynamic")
+    assert_same(found.colour, bare.colour)
+    assert_same(found.dynamic, bare.dynamic)
+    if colour:  # what was not asked for is not written: the rubbish that new memory holds is still there
+        assert (bare.grey == RUBBISH).all()
 
 
 def cubic(image: np.ndarray, whole: np.ndarray, fraction: np.ndarray) -> np.ndarray:
@@ -110,8 +116,8 @@ def cubic(image: np.ndarray, whole: np.ndarray, fraction: np.ndarray) -> np.ndar
         "rectify", "rectify", grid=(-(-width // 32), -(-height // 8), 1), block=(32, 8),
         args=[
             np.array([image.ctypes.data], np.uint64), nothing, np.array([image.shape[::-1]], np.int32),
-            np.zeros(1, np.int32), whole, fraction, no_ray, cubic_weights(), np.int32(1), np.int32(height),
-            np.int32(width), np.int32(1), found, found, dynamic,
+            np.zeros(1, np.int32), whole, fraction, no_ray, cubic_weights(), np.int32(1), np.int32(0),
+            np.int32(height), np.int32(width), np.int32(1), found, found, dynamic,
         ],
     )  # fmt: skip
     assert not dynamic.any()

@@ -32,7 +32,7 @@ def rectified_frame(
     grey: bool = True,
 ) -> Frame:
     """frames.rectified_frame: K images uint8 [h, w] or [h, w, 3] and K masks uint8 [h, w], NumPy's or the device's, as
-    a Frame of the device's arrays. threads, out and grey mean nothing here."""
+    a Frame of the device's arrays. threads and out mean nothing here."""
     used, K = device.current(), len(images)
     width, height = rectification.geometry.size
     images, masks = [on_device(image) for image in images], [on_device(mask) for mask in masks]
@@ -46,7 +46,8 @@ def rectified_frame(
         args=[
             tables.addresses([images]), tables.addresses([masks]), _sizes(rectification), maps.places, maps.whole,
             maps.fraction, maps.mark, tables.constant(cubic_weights()), np.int32(interpolation == "cubic"),
-            np.int32(height), np.int32(width), np.int32(channels), frame.colour, frame.grey, frame.dynamic,
+            np.int32(grey), np.int32(height), np.int32(width), np.int32(channels), frame.colour, frame.grey,
+            frame.dynamic,
         ],
     )  # fmt: skip
     return frame

@@ -64,14 +64,15 @@ static __device__ uint8_t grey_of(const int* bgr) {
 //   whole int16 [M, H, W, 2], fraction uint16 [M, H, W]: the maps
 //   no_ray uint8 [M, H, W]: NO_RAY or 0
 //   weights float [32, 4]: of cubic interpolation, if use_cubic
-// colour [K, H, W, channels], channels 1 or 3; grey (of 1: not written) and dynamic [K, H, W].
+// colour [K, H, W, channels], channels 1 or 3; grey (not written if not wanted, nor of 1) and dynamic
+// [K, H, W].
 extern "C" __global__ void __launch_bounds__(256)
     rectify(const uint64_t* __restrict__ images, const uint64_t* __restrict__ masks,
             const int32_t* __restrict__ sizes, const int32_t* __restrict__ slots,
             const short2* __restrict__ whole, const uint16_t* __restrict__ fraction,
-            const uint8_t* __restrict__ no_ray, const float4* __restrict__ weights, int use_cubic, int height,
-            int width, int channels, uint8_t* __restrict__ colour, uint8_t* __restrict__ grey,
-            uint8_t* __restrict__ dynamic) {
+            const uint8_t* __restrict__ no_ray, const float4* __restrict__ weights, int use_cubic,
+            int wants_grey, int height, int width, int channels, uint8_t* __restrict__ colour,
+            uint8_t* __restrict__ grey, uint8_t* __restrict__ dynamic) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y, k = blockIdx.z;
   if (x >= width || y >= height) return;
   const size_t pixel = static_cast<size_t>(y) * width + x, pixels = static_cast<size_t>(height) * width;
@@ -89,7 +90,7 @@ extern "C" __global__ void __launch_bounds__(256)
                            : linear(image, source, c);
     colour[to * channels + c] = static_cast<uint8_t>(value[c]);
   }
-  if (channels == 3) grey[to] = grey_of(value);
+  if (wants_grey && channels == 3) grey[to] = grey_of(value);
   int moving = !mask.pixels ? 0 : bent ? linear(mask, source, 0) : mask.at(x, y, 0);
   moving = min(moving, kMaxDynamic);
   dynamic[to] = static_cast<uint8_t>(bent ? max(moving, static_cast<int>(no_ray[from])) : moving);
