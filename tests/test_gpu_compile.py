@@ -78,6 +78,17 @@ def test_machine_code_is_kept_and_compiling_is_said_once(tmp_path, monkeypatch, 
     assert cubins.cubin("trial", HOPPER, 12) == first
 
 
+def test_what_is_missing_is_compiled_beforehand(tmp_path, monkeypatch) -> None:
+    compiler_or_skip(12)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(cubins, "files", lambda: ["trial", "masks"])
+    cubins.cubin("trial", HOPPER, 12)
+    kept = next(cubins.folder().iterdir()).stat().st_mtime_ns
+    cubins.prepare(HOPPER, 12)
+    found = {path.name.partition("-")[0]: path.stat().st_mtime_ns for path in cubins.folder().iterdir()}
+    assert set(found) == {"trial", "masks"} and found["trial"] == kept
+
+
 def test_another_header_is_another_machine_code(monkeypatch) -> None:
     compiler_or_skip(12)
     key = cubins._key("trial", HOPPER, 12)

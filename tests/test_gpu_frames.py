@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from functools import partial
 
 import cv2
 import numpy as np
@@ -14,9 +15,10 @@ from cuda_on_cpu import StrictDevice
 from cuda_on_cpu.strict import Array
 from seepast import Options, Reconstructor, backends, multiview, pipeline
 from seepast.backends import cuda
-from seepast.errors import DeviceError, InputError
+from seepast.errors import DeviceError, InputError, SeepastError
 from seepast.frames import Frame
 from seepast.gpu import device
+from seepast.gpu.cuda_device import CudaDevice
 from seepast.pipeline import Clock
 from seepast.rig import Camera, Rig
 
@@ -58,6 +60,35 @@ def test_cuda_equals_cpu(name: str, preset: str) -> None:
     expected, found = (found_by(backend, scene, options, dynamic_only) for backend in ("cpu", "cuda"))
     for key, value in expected.items():
         assert np.array_equal(value, found[key]) and value.dtype == found[key].dtype, key
+
+
+@pytest.fixture
+def gpu() -> Iterator[CudaDevice]:
+    """The machine's own, whatever the others use."""
+    try:
+        found = CudaDevice()
+    except SeepastError as error:
+        pytest.skip(str(error))
+    with device.use(found):
+        yield found
+
+
+LARGE = {
+    **SCENES,
+    "5, large": lambda: make_scene(5, (721, 403), surface="step", colour=True),
+    "9, soft": lambda: make_scene(9, (333, 201), reference=4, residual=True, masks="soft", colour=True),
+    **{f"{k} cameras": partial(make_scene, k, (97 + k, 41), residual=True) for k in range(2, 17)},
+}
+
+
+@pytest.mark.parametrize("preset", ["paper", "fast", "accurate"])
+@pytest.mark.parametrize("name", LARGE)
+def test_a_gpu_equals_cpu(gpu: CudaDevice, name: str, preset: str) -> None:
+    scene, options = LARGE[name](), Options.preset(preset).updated(SMALL)
+    for dynamic_only in (False, True):
+        expected, found = (found_by(backend, scene, options, dynamic_only) for backend in ("cpu", "cuda"))
+        for key, value in expected.items():
+            assert np.array_equal(value, found[key]), key
 
 
 @pytest.mark.parametrize("preset", ["fast", "accurate"])

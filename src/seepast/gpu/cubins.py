@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 from threading import Lock
 
+from ..threads import on_threads
 from . import nvrtc
 
 log = logging.getLogger("seepast")
@@ -52,7 +53,7 @@ def compiled(file: str, architecture: int, major: int, *options: str) -> tuple[b
 
 def cubin(file: str, architecture: int, major: int) -> bytes:
     """As `compiled`, from the disk if it is there, which it is afterwards if the disk lets itself be written to."""
-    place = folder() / f"{file}-{architecture}-{_key(file, architecture, major)}.cubin"
+    place = _place(file, architecture, major)
     try:
         return place.read_bytes()
     except OSError:
@@ -67,6 +68,16 @@ def cubin(file: str, architecture: int, major: int) -> bytes:
     except OSError as error:
         log.debug("compiled kernels are not kept: %s", error)
     return code
+
+
+def prepare(architecture: int, major: int) -> None:
+    """Compile what is not kept yet, on all cores."""
+    missing = [file for file in files() if not _place(file, architecture, major).exists()]
+    on_threads(lambda i: cubin(missing[i], architecture, major), len(missing))
+
+
+def _place(file: str, architecture: int, major: int) -> Path:
+    return folder() / f"{file}-{architecture}-{_key(file, architecture, major)}.cubin"
 
 
 def folder() -> Path:

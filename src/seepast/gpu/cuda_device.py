@@ -34,6 +34,7 @@ class CudaDevice:
         self._lanes: dict[str, Any] = {}
         self._one = threading.Lock()
         self._function, self._module = cache(self._load), cache(self._load_module)
+        self._prepared = cache(lambda: cubins.prepare(self.architecture, self.major))
 
     def _check_driver(self, index: int) -> None:
         driver, wanted = self._runtime.driverGetVersion(), OLDEST.get(self.major, "a newer version")
@@ -70,6 +71,7 @@ class CudaDevice:
         return function
 
     def _load_module(self, file: str) -> Any:
+        self._prepared()
         module = self.xp.cuda.Module()
         module.load(cubins.cubin(file, self.architecture, self.major))
         return module
