@@ -58,7 +58,8 @@ lint: $(VENV)/.dev-installed
 	$(VENV)/bin/ruff check src tests benchmarks docs/*.py
 	$(VENV)/bin/ruff format --check src tests benchmarks docs/*.py
 	$(VENV)/bin/mypy src/seepast
-	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h tests/cpp/*.cpp tests/cpp/*/*.h
+	$(VENV)/bin/clang-format --dry-run -Werror cpp/*.cpp cpp/*.h tests/cpp/*.cpp tests/cpp/*/*.h \
+	  src/seepast/gpu/kernels/*.cu src/seepast/gpu/kernels/*.h tests/cuda_on_cpu/*.h
 
 $(PY):
 	@test -n "$(PYTHON)" || { echo "make: no Python >= 3.10 found; install one, or say make PYTHON=/path/to/python3"; exit 1; }

@@ -1,14 +1,14 @@
-// The subset of CUDA that the kernels use, on the CPU: one fiber per CUDA thread, switched at barriers only, always in
-// the same order. Kernels that never wait run as a plain loop over the threads, on one fiber.
+// The subset of CUDA that the kernels use, on the CPU: one fiber per CUDA thread, switched at barriers only,
+// always in the same order. Kernels that never wait run as a plain loop over the threads, on one fiber.
 #pragma once
 
+#include <ucontext.h>
+#include <cmath>
 #include <csetjmp>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
-#include <cmath>
-#include <ucontext.h>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -24,19 +24,45 @@
 #define __restrict__ __restrict
 #define __align__(n) __attribute__((aligned(n)))
 
-struct uint3 { unsigned x, y, z; };
-struct dim3 { unsigned x, y, z; };
-struct uchar2 { uint8_t x, y; };
-struct uchar4 { uint8_t x, y, z, w; };
-struct ushort2 { uint16_t x, y; };
-struct ushort4 { uint16_t x, y, z, w; };
-struct short2 { int16_t x, y; };
-struct int2 { int x, y; };
-struct alignas(16) int4 { int x, y, z, w; };
-struct alignas(8) uint2 { unsigned x, y; };
-struct alignas(16) uint4 { unsigned x, y, z, w; };
-struct alignas(8) float2 { float x, y; };
-struct alignas(16) float4 { float x, y, z, w; };
+struct uint3 {
+  unsigned x, y, z;
+};
+struct dim3 {
+  unsigned x, y, z;
+};
+struct uchar2 {
+  uint8_t x, y;
+};
+struct uchar4 {
+  uint8_t x, y, z, w;
+};
+struct ushort2 {
+  uint16_t x, y;
+};
+struct ushort4 {
+  uint16_t x, y, z, w;
+};
+struct short2 {
+  int16_t x, y;
+};
+struct int2 {
+  int x, y;
+};
+struct alignas(16) int4 {
+  int x, y, z, w;
+};
+struct alignas(8) uint2 {
+  unsigned x, y;
+};
+struct alignas(16) uint4 {
+  unsigned x, y, z, w;
+};
+struct alignas(8) float2 {
+  float x, y;
+};
+struct alignas(16) float4 {
+  float x, y, z, w;
+};
 inline uchar4 make_uchar4(uint8_t x, uint8_t y, uint8_t z, uint8_t w) { return {x, y, z, w}; }
 inline int2 make_int2(int x, int y) { return {x, y}; }
 inline int4 make_int4(int x, int y, int z, int w) { return {x, y, z, w}; }
@@ -69,8 +95,8 @@ struct Barrier {
 
 struct Block {
   std::vector<Fiber*> running, idle;
-  std::vector<Barrier> barriers;  // 0: the block's; then 32 per warp, by the first lane of the mask
-  std::vector<uint64_t> slots;    // two per thread: what shuffles exchange
+  std::vector<Barrier> barriers;    // 0: the block's; then 32 per warp, by the first lane of the mask
+  std::vector<uint64_t> slots;      // two per thread: what shuffles exchange
   std::vector<unsigned> exchanges;  // per thread: so far
   unsigned next = 0, count = 0;
   bool moved = false, backwards = false;
@@ -85,13 +111,16 @@ struct Block {
 inline Block g_block;
 
 inline void* shared() {
-  return reinterpret_cast<void*>((reinterpret_cast<uintptr_t>(g_block.shared.data()) + 127) & ~uintptr_t{127});
+  return reinterpret_cast<void*>((reinterpret_cast<uintptr_t>(g_block.shared.data()) + 127) &
+                                 ~uintptr_t{127});
 }
 
 inline unsigned flat(const uint3& t) { return t.x + blockDim.x * (t.y + blockDim.y * t.z); }
 inline unsigned lane() { return flat(threadIdx) % 32; }
 
-inline uint3 unflat(unsigned n) { return {n % blockDim.x, n / blockDim.x % blockDim.y, n / (blockDim.x * blockDim.y)}; }
+inline uint3 unflat(unsigned n) {
+  return {n % blockDim.x, n / blockDim.x % blockDim.y, n / (blockDim.x * blockDim.y)};
+}
 
 // A fiber works threads off as long as there are any; it only leaves in a barrier, and when nothing is left.
 inline void work() {
@@ -225,7 +254,8 @@ template <typename P>
 const char* type_of() {
   using T = std::remove_cv_t<std::remove_pointer_t<P>>;
   constexpr bool pointer = std::is_pointer_v<P>;
-  const char* kind = std::is_floating_point_v<T> ? "f" : std::is_same_v<T, bool> ? "b"
+  const char* kind = std::is_floating_point_v<T> ? "f"
+                     : std::is_same_v<T, bool>   ? "b"
                      : std::is_integral_v<T>     ? (std::is_signed_v<T> ? "i" : "u")
                                                  : "V";
   static char text[16];
@@ -368,19 +398,19 @@ T __ldg(const T* p) {
 }
 
 // One rule for every old(*p), new(*p): threads run one after the other here, so plain memory is atomic.
-#define SEEPAST_ATOMIC(name, expression)                                     \
-  template <typename T, typename V>                                          \
-  std::enable_if_t<!std::is_pointer_v<T>, T> name(T* p, V operand) {         \
-    const T old = *p, v = static_cast<T>(operand);                           \
-    *p = static_cast<T>(expression);                                         \
-    return old;                                                              \
+#define SEEPAST_ATOMIC(name, expression)                             \
+  template <typename T, typename V>                                  \
+  std::enable_if_t<!std::is_pointer_v<T>, T> name(T* p, V operand) { \
+    const T old = *p, v = static_cast<T>(operand);                   \
+    *p = static_cast<T>(expression);                                 \
+    return old;                                                      \
   }
 SEEPAST_ATOMIC(atomicAdd, old + v)
 SEEPAST_ATOMIC(atomicSub, old - v)
 SEEPAST_ATOMIC(atomicMin, v < old ? v : old)
 SEEPAST_ATOMIC(atomicMax, v > old ? v : old)
 SEEPAST_ATOMIC(atomicOr, old | v)
-SEEPAST_ATOMIC(atomicAnd, old & v)
+SEEPAST_ATOMIC(atomicAnd, old& v)
 SEEPAST_ATOMIC(atomicXor, old ^ v)
 SEEPAST_ATOMIC(atomicExch, (old, v))
 template <typename T>
@@ -471,7 +501,8 @@ SEEPAST_WORDS(__vcmpltu2, x < y ? 65535 : 0)
 #undef SEEPAST_WORDS
 inline unsigned __vsadu4(unsigned a, unsigned b) {
   unsigned sum = 0;
-  for (int i = 0; i < 32; i += 8) sum += std::abs(static_cast<int>(a >> i & 255) - static_cast<int>(b >> i & 255));
+  for (int i = 0; i < 32; i += 8)
+    sum += std::abs(static_cast<int>(a >> i & 255) - static_cast<int>(b >> i & 255));
   return sum;
 }
 inline unsigned __dp4a(unsigned a, unsigned b, unsigned c) {
