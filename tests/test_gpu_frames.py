@@ -168,6 +168,8 @@ def test_arrays_come_from_the_gpu_and_stay_there() -> None:
         result = run([OfAnotherLibrary(image) for image in images], [OfAnotherLibrary(mask) for mask in given])
         assert isinstance(result.disparity, Array) and isinstance(result.masks[0], Array)
         assert_same(result, expected)
+    unmasked = run([OfAnotherLibrary(image) for image in images], None)
+    assert_same(unmasked, Reconstructor(rig, options=FAST, backend="cpu")(images, None))
 
 
 class Failing(StrictDevice):

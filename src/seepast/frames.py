@@ -43,7 +43,7 @@ def check_frame(
     if len(images) != K:
         raise InputError(f"images: {len(images)} given, the rig has {K} cameras: give one per camera, in its order")
     if masks is None:
-        masks = [np.zeros(np.shape(image)[:2], np.uint8) for image in images]
+        masks = [np.zeros(camera.resolution[::-1], np.uint8) for camera in rig.cameras]
     if len(masks) != K:
         raise InputError(f"masks: {len(masks)} given, the rig has {K} cameras: give one per camera, in its order")
     given = zip(rig.cameras, images, strict=True)
