@@ -37,7 +37,7 @@ class EmulatedDevice:
 
     xp = np
     name = "CUDA on the CPU"
-    backwards = False  # threads of a block run in this order: what a missing barrier spoils shows in one of them
+    backwards = False  # order of threads and blocks: what a missing barrier spoils shows in one of the two
 
     def __init__(self) -> None:
         self._one = threading.Lock()
@@ -104,7 +104,7 @@ class EmulatedDevice:
 
 
 class StrictDevice(EmulatedDevice):
-    """The same with arrays as choosy as CuPy's (strict.py), in memory that nobody leaves unseen; threads run in the
+    """The same with arrays as choosy as CuPy's (strict.py), in memory that nobody leaves unseen; all runs in the
     opposite order."""
 
     xp, backwards = strict.xp, True

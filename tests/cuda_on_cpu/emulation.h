@@ -290,6 +290,7 @@ const char* launch(void (*function)(P...), const unsigned* grid, const unsigned*
     for (unsigned y = 0; y < grid[1] && !b.fault; ++y)
       for (unsigned x = 0; x < grid[0] && !b.fault; ++x) {
         blockIdx = {x, y, z};
+        if (b.backwards) blockIdx = {grid[0] - 1 - x, grid[1] - 1 - y, grid[2] - 1 - z};
         b.shared.assign(shared_bytes + 128, 0xcd);
         run_block();
       }
