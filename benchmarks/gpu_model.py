@@ -120,18 +120,19 @@ class Counted:
         self.kernels["median"].add(candidates.active.size, 430, 4)
 
     def votes_of_views(self, costs, disparities, confidence, statics, views, candidates, skips, weights):
-        for of in candidates:
-            self._voting(of)
+        for of, static in zip(candidates, statics, strict=True):
+            self._voting(of, static, weights)
         self.kernels["votes"].launches += 1
         return cpu_multiview.votes_of_views(costs, disparities, confidence, statics, views, candidates, skips, weights)
 
     def votes(self, costs, disparities, confidence, static, geometry, candidates, skip, weights, out=None):
-        self._voting(candidates)
+        self._voting(candidates, static, weights)
         self.kernels["votes"].launches += 1
         return cpu_multiview.votes(costs, disparities, confidence, static, geometry, candidates, skip, weights, out)
 
-    def _voting(self, candidates) -> None:
-        polled = CHUNK * int(np.unpackbits(np.ascontiguousarray(candidates.active).view(np.uint8)).sum())
+    def _voting(self, candidates, static, weights) -> None:
+        active = candidates.active if weights.visible else candidates.active[~static]
+        polled = CHUNK * int(np.unpackbits(np.ascontiguousarray(active).view(np.uint8)).sum())
         self.kernels["votes"].add(polled, 27 * (self.cameras - 1) + 55, 2)
         self.kernels["votes"].add(candidates.active.size, 0, 13 + 3 * self.cameras)
 
