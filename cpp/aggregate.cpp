@@ -41,8 +41,9 @@ struct Layout {
     line = lines(2 * kGuard + count);
     steps = lines(width + 2);
     plane = steps * (height + 1);
-    along = std::min(chunks, static_cast<size_t>(kRows) * width * (count / kChunk)) * kChunk;
-    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) + along;
+    totals = std::min(chunks, static_cast<size_t>(width) * (count / kChunk)) * kChunk;
+    along = std::min(chunks * kChunk, kRows * totals);
+    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) + totals + along;
     sums = chunks * kChunk;
     total = 2 * sweep + vertical * plane + sums + kLine;
   }
@@ -50,7 +51,7 @@ struct Layout {
   size_t vertical, pitch, width;
   size_t slots, entries;        // of one path from row to row
   size_t plane;                 // penalties from row to row
-  size_t line, steps, along;    // of one row; path costs, penalties, and the sums of kRows rows
+  size_t line, steps, totals, along;    // of one row; path costs, penalties, and the sums of kRows rows
   size_t sweep, sums, total;
 };
 
@@ -76,7 +77,6 @@ struct Line {
   int16_t* entries;
   int16_t* sums;  // of all chunks, though there is memory for some rows'
   uint64_t held;  // chunks of `entries` that are not beyond
-  int16_t low;    // the lowest of them
 };
 
 // A row, and the paths into it from the row before: from x - dx.
@@ -94,7 +94,8 @@ struct Row {
   ptrdiff_t pitch;
   uint8_t* saved_bytes;  // the sums of the paths from row to row: bytes,
   int16_t* saved;        // or, where they need more, this
-  int16_t* along;        // the sums of those along it, as in Line; in the end of all
+  const int16_t* along;  // the sums of those along it, as in Line
+  int16_t* totals;       // of all paths, likewise
   Run* runs;      // [W]
   Pick* picks;    // [W]
   uint16_t* out;  // nullptr: save the sums
@@ -202,7 +203,8 @@ struct Sweep {
         line_steps(line_entries + kRows * layout.line),
         picks(line_steps + kRows * layout.steps),
         runs(picks + lines(4 * view.width)),
-        along(runs + lines(kRunEntries * 3 * view.width)) {}
+        totals(runs + lines(kRunEntries * 3 * view.width)),
+        along(totals + layout.totals) {}
 
   void begin() const {
     std::fill_n(entries, layout.vertical * layout.entries, kBeyond);
@@ -227,13 +229,17 @@ struct Sweep {
     for (int n = from; n < view.height; n += kRows) {
       const int count = std::min(kRows, view.height - n);
       const int top = std::min(y_of(n), y_of(n + count - 1));
-      int16_t* sums = reinterpret_cast<int16_t*>(reinterpret_cast<uintptr_t>(along) -
-                                                 view.start[view.at(top)] * kChunk * sizeof(int16_t));
+      int16_t* sums = numbered(along, view.start[view.at(top)]);
       Line rows[kRows];
       for (int i = 0; i < count; ++i) rows[i] = line(n + i, i, sums);
       run.along(rows, count, view.width, reinterpret_cast<Run*>(runs), small);
       for (int i = 0; i < count; ++i) run.down(row(n + i, sums, out), layout.vertical == 3);
     }
+  }
+
+  // Where chunk 0 would be, if there were memory for all and chunk `first` were at `sums`.
+  static int16_t* numbered(int16_t* sums, int first) {
+    return reinterpret_cast<int16_t*>(reinterpret_cast<uintptr_t>(sums) - sizeof(int16_t) * kChunk * first);
   }
 
   int y_of(int n) const { return direction > 0 ? n : view.height - 1 - n; }
@@ -248,7 +254,7 @@ struct Sweep {
     return l;
   }
 
-  Row row(int n, int16_t* sums, uint16_t* out) const {
+  Row row(int n, const int16_t* sums, uint16_t* out) const {
     const int y = y_of(n);
     const size_t at = view.at(y);
     Row r{};
@@ -265,6 +271,7 @@ struct Sweep {
     }
     r.saved_bytes = bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
     r.along = sums;
+    r.totals = numbered(totals, view.start[at]);
     r.picks = reinterpret_cast<Pick*>(picks), r.runs = reinterpret_cast<Run*>(runs);
     r.out = out ? out + at : nullptr;
     return r;
@@ -295,7 +302,7 @@ struct Sweep {
   Loops run;
   int16_t* saved;
   bool bytes;
-  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *along;
+  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *totals, *along;
 };
 
 }  // namespace

@@ -71,7 +71,6 @@ struct Lanes {
 };
 inline Lanes operator+(Lanes a, Lanes b) { return {a.a + b.a, a.b + b.b}; }
 inline Lanes operator-(Lanes a, Lanes b) { return {a.a - b.a, a.b - b.b}; }
-inline Lanes operator<<(Lanes a, int by) { return {a.a << by, a.b << by}; }
 
 template <>
 inline Lanes splat<Lanes>(int16_t value) {
@@ -235,27 +234,26 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   int16_t* const sums = rows[0].sums;
   const int32_t* start[R];
   const int16_t* large[R];
-  V here[R][N], beside[R][N], low[R];
+  V here[R][N], beside[R][N];
   for (int r = 0; r < R; ++r) {
     start[r] = rows[r].start, large[r] = rows[r].large;
     const int16_t* from = rows[r].entries + first;
     for (int i = 0; i < N; ++i) here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
-    low[r] = splat<V>(rows[r].low);
     clear(rows[r].entries, rows[r].held);
   }
   for (;; x += direction) {
     for (int r = 0; r < R; ++r) {
       const ptrdiff_t at = static_cast<ptrdiff_t>(start[r][x]) * kChunk;
-      const V far = low[r] + splat<V>(large[r][x]);
+      const V far = splat<V>(large[r][x]);
       V minimum;
       for (int i = 0; i < N; ++i) {
-        const V way = least(least(here[r][i], far), beside[r][i] + step) - low[r];
+        here[r][i] = least(least(here[r][i], far), beside[r][i] + step) + widened<V>(costs + at + i * L);
         int16_t* sum = sums + at + i * L;
-        store(sum, kAdd ? load<V>(sum) + way : way);
-        here[r][i] = way + widened<V>(costs + at + i * L);
+        store(sum, kAdd ? load<V>(sum) + here[r][i] : here[r][i]);
         minimum = i ? least(minimum, here[r][i]) : here[r][i];
       }
-      low[r] = lowest(minimum);
+      minimum = lowest(minimum);
+      for (int i = 0; i < N; ++i) here[r][i] = here[r][i] - minimum;
     }
     if (!--count) break;
     for (int r = 0; r < R; ++r)
@@ -265,12 +263,11 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   }
   for (int r = 0; r < R; ++r) {
     for (int i = 0; i < N; ++i) store(rows[r].entries + first + i * L, here[r][i]);
-    rows[r].low = first_lane(low[r]);
     rows[r].held = rows[r].active[x];
   }
 }
 
-// Path costs of the chunks `active`, above their lowest, from those before, over them: sums are set or added to.
+// Path costs of the chunks `active` from those before, over them, above their lowest: sums are set or added to.
 template <bool kAdd>
 inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t large, int16_t small,
                      const uint8_t* cost, int16_t* sum) {
@@ -285,8 +282,8 @@ inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t l
   Lanes minimum = splat<Lanes>(kBeyond);
   way = ways;
   for (uint64_t rest = active; rest; rest &= rest - 1, way += kChunk, cost += kChunk, sum += kChunk) {
-    const Lanes w = load<Lanes>(way), here = w + widened<Lanes>(cost);
-    store(sum, kAdd ? load<Lanes>(sum) + w : w);
+    const Lanes here = load<Lanes>(way) + widened<Lanes>(cost);
+    store(sum, kAdd ? load<Lanes>(sum) + here : here);
     store(way, here);
     minimum = least(minimum, here);
   }
@@ -298,11 +295,6 @@ inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t l
 
 template <bool kAdd>
 void along_any(Line& row, int x, int count, int direction, int16_t small) {
-  for (uint64_t rest = row.held; rest; rest &= rest - 1) {
-    int16_t* e = row.entries + __builtin_ctzll(rest) * kChunk;
-    store(e, load<Lanes>(e) - splat<Lanes>(row.low));
-  }
-  row.low = 0;
   for (; count; --count, x += direction) {
     const ptrdiff_t at = static_cast<ptrdiff_t>(row.start[x]) * kChunk;
     step_any<kAdd>(row.entries, row.held, row.active[x], row.large[x], small, row.costs + at, row.sums + at);
@@ -391,20 +383,21 @@ void along_rows(Line* rows, int count, int width, Run* runs, int16_t small) {
 
 // ---------------------------------------------------------------------------------------- from row to row
 
+// The sum of `costs` of a pixel's path, or paths, is saved; in bytes without the matching cost, which may not fit.
 template <class V>
-inline void save(uint8_t* to, V v) {
-  store_bytes(to, v);
+inline void save(uint8_t* to, V costs, V cost) {
+  store_bytes(to, costs - cost);
 }
 template <class V>
-inline void save(int16_t* to, V v) {
-  store(to, v);
+inline void save(int16_t* to, V costs, V) {
+  store(to, costs);
 }
 template <class V>
-inline V saved(const uint8_t* from) {
-  return widened<V>(from);
+inline V saved(const uint8_t* from, V cost) {
+  return widened<V>(from) + cost;
 }
 template <class V>
-inline V saved(const int16_t* from) {
+inline V saved(const int16_t* from, V) {
   return load<V>(from);
 }
 
@@ -416,7 +409,8 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
   const V step = splat<V>(r.small);
   const uint8_t* const costs = r.costs;
   const int32_t* const start = r.start;
-  int16_t* const along = r.along;
+  const int16_t* const along = r.along;
+  int16_t* const totals = r.totals;
   const ptrdiff_t pitch = r.pitch;
   const int16_t* large[P];
   int16_t* entries[P];
@@ -430,9 +424,8 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
       const V far = splat<V>(large[p][x]);
       V here[N], minimum;
       for (int i = 0; i < N; ++i) {
-        const V way = least(least(load<V>(e + i * L), far), least_beside<V>(e + i * L) + step);
-        total[i] = p ? total[i] + way : way;
-        here[i] = way + cost[i];
+        here[i] = least(least(load<V>(e + i * L), far), least_beside<V>(e + i * L) + step) + cost[i];
+        total[i] = p ? total[i] + here[i] : here[i];
         minimum = i ? least(minimum, here[i]) : here[i];
       }
       minimum = lowest(minimum);
@@ -441,10 +434,10 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
     }
     for (int i = 0; i < N; ++i) {
       if constexpr (kLast)
-        store(along + at + i * L, total[i] + load<V>(along + at + i * L) + (cost[i] << (P == 1 ? 2 : 3)) +
-                                      saved<V>(to + at + i * L));
+        store(totals + at + i * L,
+              total[i] + load<V>(along + at + i * L) + saved<V>(to + at + i * L, cost[i]));
       else
-        save(to + at + i * L, total[i]);
+        save(to + at + i * L, total[i], cost[i]);
     }
   }
 }
@@ -462,12 +455,11 @@ void down_any(const Row& r, Saved* to, int x, int end) {
     }
     const int16_t* sum = total;
     for (uint64_t rest = active; rest; rest &= rest - 1, sum += kChunk, at += kChunk) {
-      const Lanes t = load<Lanes>(sum);
+      const Lanes t = load<Lanes>(sum), cost = widened<Lanes>(r.costs + at);
       if constexpr (kLast)
-        store(r.along + at, t + load<Lanes>(r.along + at) + (widened<Lanes>(r.costs + at) << (P == 1 ? 2 : 3)) +
-                                saved<Lanes>(to + at));
+        store(r.totals + at, t + load<Lanes>(r.along + at) + saved<Lanes>(to + at, cost));
       else
-        save(to + at, t);
+        save(to + at, t, cost);
     }
   }
 }
@@ -476,11 +468,11 @@ void down_any(const Row& r, Saved* to, int x, int end) {
 template <class V, int N>
 inline void pick_run(const Row& r, int x, int end, int first) {
   constexpr int L = kLanes<V>;
-  const int16_t* const along = r.along;
+  const int16_t* const totals = r.totals;
   const int32_t* const start = r.start;
   Pick* const picks = r.picks;
   for (; x < end; ++x) {
-    const int16_t* sums = along + static_cast<ptrdiff_t>(start[x]) * kChunk;
+    const int16_t* sums = totals + static_cast<ptrdiff_t>(start[x]) * kChunk;
     V sum[N], minimum;
     for (int i = 0; i < N; ++i) {
       sum[i] = load<V>(sums + i * L);
@@ -499,7 +491,7 @@ inline void pick_run(const Row& r, int x, int end, int first) {
 
 inline void pick_any(const Row& r, int x, int end) {
   for (; x < end; ++x) {
-    const int16_t* sums = r.along + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
+    const int16_t* sums = r.totals + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
     const uint64_t active = r.active[x];
     int best = 0, at = 0, place = 0;
     for (uint64_t rest = active; rest; rest &= rest - 1, at += kChunk) {
