@@ -21,9 +21,9 @@ V splat(int16_t value);
 template <class V>
 V widened(const uint8_t* from);
 
-// Of every kind of vector: `after` and `before` move the lanes by one, with the last of the vector before, or the
-// first of the one after, in the free place; `lowest` has the lowest lane in all, which must be 0 or more;
-// `equal` has a bit per lane; the lanes that `store_bytes` takes are below 256.
+// Of every kind of vector: `after` and `before` move the lanes by one, with the last of the vector before, or
+// the first of the one after, in the free place; `lowest` has the lowest lane in all, which must be 0 or
+// more; `equal` has a bit per lane; the lanes that `store_bytes` takes are below 256.
 #ifdef SEEPAST_AVX2
 typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
 
@@ -54,8 +54,8 @@ inline uint32_t equal(Lanes a, Lanes b) {
   return _mm256_cmpeq_epi16_mask(reinterpret_cast<__m256i>(a), reinterpret_cast<__m256i>(b));
 #else
   const __m256i same = reinterpret_cast<__m256i>(a == b);
-  return static_cast<uint32_t>(_mm_movemask_epi8(
-      _mm_packs_epi16(_mm256_castsi256_si128(same), _mm256_extracti128_si256(same, 1))));
+  return static_cast<uint32_t>(
+      _mm_movemask_epi8(_mm_packs_epi16(_mm256_castsi256_si128(same), _mm256_extracti128_si256(same, 1))));
 #endif
 }
 inline void store_bytes(uint8_t* to, Lanes v) {
@@ -107,7 +107,8 @@ inline Lanes lowest(Lanes a) {
 }
 inline Bytes packed(Lanes a) {
 #if defined(__SSE2__)
-  return reinterpret_cast<Bytes>(_mm_packus_epi16(reinterpret_cast<__m128i>(a.a), reinterpret_cast<__m128i>(a.b)));
+  return reinterpret_cast<Bytes>(
+      _mm_packus_epi16(reinterpret_cast<__m128i>(a.a), reinterpret_cast<__m128i>(a.b)));
 #else
   return __builtin_shufflevector(reinterpret_cast<Bytes>(a.a), reinterpret_cast<Bytes>(a.b), 0, 2, 4, 6, 8,
                                  10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
@@ -202,23 +203,31 @@ inline int same_until(const uint64_t* active, int x, int end, uint64_t chunks) {
   return x;
 }
 
-// Calls use.template operator()<V, N>(first) for the chunks of a pixel that are N times those of a V, one after
-// another, or any() where they are not.
+// Calls use.template operator()<V, N>(first) for the chunks of a pixel that are N times those of a V, one
+// after another, or any() where they are not.
 template <class Use, class Any>
 inline void by_chunks(uint64_t active, Use use, Any any) {
   const int first = __builtin_ctzll(active) * kChunk;
   switch (active >> __builtin_ctzll(active)) {
-    case 1: return use.template operator()<Lanes, 1>(first);
-    case 7: return use.template operator()<Lanes, 3>(first);
-    case 31: return use.template operator()<Lanes, 5>(first);
+    case 1:
+      return use.template operator()<Lanes, 1>(first);
+    case 7:
+      return use.template operator()<Lanes, 3>(first);
+    case 31:
+      return use.template operator()<Lanes, 5>(first);
 #ifdef SEEPAST_AVX512
-    case 3: return use.template operator()<Wide, 1>(first);
-    case 15: return use.template operator()<Wide, 2>(first);
+    case 3:
+      return use.template operator()<Wide, 1>(first);
+    case 15:
+      return use.template operator()<Wide, 2>(first);
 #else
-    case 3: return use.template operator()<Lanes, 2>(first);
-    case 15: return use.template operator()<Lanes, 4>(first);
+    case 3:
+      return use.template operator()<Lanes, 2>(first);
+    case 15:
+      return use.template operator()<Lanes, 4>(first);
 #endif
-    default: return any();
+    default:
+      return any();
   }
 }
 
@@ -238,7 +247,8 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   for (int r = 0; r < R; ++r) {
     start[r] = rows[r].start, large[r] = rows[r].large;
     const int16_t* from = rows[r].entries + first;
-    for (int i = 0; i < N; ++i) here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
+    for (int i = 0; i < N; ++i)
+      here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
     clear(rows[r].entries, rows[r].held);
   }
   for (;; x += direction) {
@@ -267,7 +277,8 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   }
 }
 
-// Path costs of the chunks `active` from those before, over them, above their lowest: sums are set or added to.
+// Path costs of the chunks `active` from those before, over them, above their lowest: sums are set or added
+// to.
 template <bool kAdd>
 inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t large, int16_t small,
                      const uint8_t* cost, int16_t* sum) {
@@ -325,7 +336,8 @@ inline void along_same(Line* rows, int from, int end, int16_t small) {
       });
 }
 
-// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how many.
+// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how
+// many.
 template <int R>
 int split(const Line* rows, int x, int end, Run* runs) {
   const auto alike = [&](int at) {
@@ -342,15 +354,16 @@ int split(const Line* rows, int x, int end, Run* runs) {
       x = end;
       for (int r = 0; r < R; ++r) x = same_until(rows[r].active, from, x, active);
     } else {
-      while (++x < end && !alike(x)) {}
+      while (++x < end && !alike(x)) {
+      }
     }
     runs[n++] = {from, x, same};
   }
   return n;
 }
 
-// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows are not
-// alike, in twos or one by one.
+// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows
+// are not alike, in twos or one by one.
 template <int R, bool kAdd>
 void along(Line* rows, int from, int end, Run* runs, int16_t small) {
   const int n = split<R>(rows, from, end, runs);
@@ -383,7 +396,8 @@ void along_rows(Line* rows, int count, int width, Run* runs, int16_t small) {
 
 // ---------------------------------------------------------------------------------------- from row to row
 
-// The sum of `costs` of a pixel's path, or paths, is saved; in bytes without the matching cost, which may not fit.
+// The sum of `costs` of a pixel's path, or paths, is saved; in bytes without the matching cost, which may not
+// fit.
 template <class V>
 inline void save(uint8_t* to, V costs, V cost) {
   store_bytes(to, costs - cost);
@@ -500,8 +514,8 @@ inline void pick_any(const Row& r, int x, int end) {
       best = at + __builtin_ctz(equal(sum, low));
       place = best - at + __builtin_ctzll(rest) * kChunk;
     }
-    const bool inner = place > 0 && place + 1 < kMostChunks * kChunk && (active >> (place - 1) / kChunk & 1) &&
-                       (active >> (place + 1) / kChunk & 1);
+    const bool inner = place > 0 && place + 1 < kMostChunks * kChunk &&
+                       (active >> (place - 1) / kChunk & 1) && (active >> (place + 1) / kChunk & 1);
     r.picks[x] = {inner ? sums[best - 1] : kNone, sums[best], sums[best + 1], static_cast<int16_t>(place)};
   }
 }
@@ -535,7 +549,8 @@ inline void places(const Row& r, int from, int to) {
   for (int x = from; x < to; ++x) {
     const int left = picks[x].left, right = picks[x].right, lowest = picks[x].lowest;
     const int bend = left + right - 2 * lowest;
-    // floor(half (left - right) / bend + 1/2) + half; a quotient of such numbers is never rounded up to a whole
+    // floor(half (left - right) / bend + 1/2) + half; a quotient of such numbers is never rounded up to a
+    // whole
     const double whole = bend > 0 ? 4 * half * (left - lowest) + bend : 2 * half + 1;
     const double by = bend > 0 ? 2 * bend : 2;
     out[x] = static_cast<uint16_t>(start + step * picks[x].best + static_cast<int>(whole / by));
@@ -561,7 +576,9 @@ void down(const Row& r, Saved* to) {
   for (const Run* run = r.runs; run != end; ++run)
     by_chunks(
         r.active[run->from],
-        [&]<class V, int N>(int first) { down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first); },
+        [&]<class V, int N>(int first) {
+          down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first);
+        },
         [&] { down_any<P, Saved, kLast>(r, to, run->from, run->end); });
   forget<P>(r);
   if (!kLast) return;
@@ -592,12 +609,11 @@ void down_row(const Row& r, bool eight) {
     down<1>(r, r.saved);
 }
 
-
 // ----------------------------------------------------------------------------------------------- penalties
 
 #ifdef SEEPAST_AVX2
-// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a block: no
-// byte behind them is read.
+// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a
+// block: no byte behind them is read.
 inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
   const int second = late ? 8 : 12;
   const auto load = [&](const uint8_t* from) {
@@ -605,11 +621,12 @@ inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
         _mm256_castsi128_si256(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))),
         _mm_loadu_si128(reinterpret_cast<const __m128i*>(from + second)), 1);
   };
-  const __m256i m = load(a), n = load(b), step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
+  const __m256i m = load(a), n = load(b),
+                step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
   const char k = late ? 4 : 0;
-  const __m256i place = _mm256_setr_epi8(
-      0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3, k + 4, k + 5, -1, k + 6,
-      k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
+  const __m256i place =
+      _mm256_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3,
+                       k + 4, k + 5, -1, k + 6, k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
   const __m256i parts = _mm256_shuffle_epi8(step, place);
   return _mm256_madd_epi16(_mm256_maddubs_epi16(parts, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
 }

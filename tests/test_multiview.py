@@ -223,10 +223,7 @@ def test_aggregate_where_little_is_matched(shape, paths, kind):
         costs = rng.integers(0, 256, (candidates.chunks, CHUNK), np.uint8)
         for penalties, fallback in ((FIRST, otherwise), (STEEPEST, None)):
             assert_same(
-                *(
-                    b.aggregate(costs, image, static, candidates, penalties, paths, fallback)
-                    for b in (reference, cpu)
-                )
+                *(b.aggregate(costs, image, static, candidates, penalties, paths, fallback) for b in (reference, cpu))
             )
 
 
