@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -163,6 +165,17 @@ def test_bash_completes(typed: str, completed: set[str], tmp_path: Path, capsys:
     assert completed <= set(done.stdout.split()), (done.stdout, done.stderr)
     if not typed.endswith(" "):
         assert set(done.stdout.split()) == completed
+
+
+@pytest.mark.parametrize("words", ["--version", "--help", "run --help", "completion fish", "--version --json", "models"])
+def test_a_reader_that_goes_away_ends_a_command_quietly(words: str) -> None:
+    """As in `seepast --help | head -1`; the reader is gone before anything is written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "seepast.cli", *words.split()]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (cli.EXIT_PIPE, "")
 
 
 def test_help_joins_the_lines_of_paragraphs_and_nothing_else() -> None:
