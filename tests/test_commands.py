@@ -167,7 +167,9 @@ def test_bash_completes(typed: str, completed: set[str], tmp_path: Path, capsys:
         assert set(done.stdout.split()) == completed
 
 
-@pytest.mark.parametrize("words", ["--version", "--help", "run --help", "completion fish", "--version --json", "models"])
+@pytest.mark.parametrize(
+    "words", ["--version", "--help", "run --help", "completion fish", "--version --json", "models"]
+)
 def test_a_reader_that_goes_away_ends_a_command_quietly(words: str) -> None:
     """As in `seepast --help | head -1`; the reader is gone before anything is written."""
     reading, writing = os.pipe()

@@ -219,7 +219,7 @@ def test_what_cannot_be_used_is_counted_and_told_once(caplog: pytest.LogCaptureF
     memory.deliver[IMAGES[0]](image(START + 10**9))
     memory.deliver[IMAGES[1]](image(START + 10**9))
     bad = image(START + 10**9)
-    bad.encoding = "bayer_rggb16"
+    bad.encoding = "bayer_rggb32"
     memory.deliver[IMAGES[2]](bad)
     with caplog.at_level(logging.WARNING):
         report = run_once(server)

@@ -154,11 +154,11 @@ def test_bayer_patterns_name_the_top_left_pixels(pattern: str, tmp_path: Path) -
     np.testing.assert_array_equal(image[4:-4, 4:-4].reshape(-1, 3), np.tile([200, 120, 40], (28 * 40, 1)))
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "32FC1"])
-def test_more_than_8_bits_are_refused(encoding: str, tmp_path: Path) -> None:
-    deep = np.zeros((SIZE[1], SIZE[0]), np.uint16 if encoding == "mono16" else np.float32)
+@pytest.mark.parametrize("encoding", ["16SC1", "32FC1"])
+def test_what_are_no_grey_levels_is_refused(encoding: str, tmp_path: Path) -> None:
+    deep = np.zeros((SIZE[1], SIZE[0]), np.int16 if encoding == "16SC1" else np.float32)
     bag = make(tmp_path / "r", "mcap", {topic(k): [Shot(START, deep, encoding)] for k in range(3)})
-    with pytest.raises(DatasetError, match=rf"/cam0/image_raw at {START}: encoding {encoding} has more than 8 bits"):
+    with pytest.raises(DatasetError, match=rf"/cam0/image_raw at {START}: encoding {encoding} has no grey levels"):
         open_dataset(bag, masks="none").frame(str(START))
 
 

@@ -252,7 +252,7 @@ def _on_sigterm(*_: object) -> None:
 
 
 def _leave_stdout() -> int:
-    """Nobody reads it any more: what is still to be flushed goes nowhere, so that Python does not complain at its end."""
+    """Nobody reads it any more: what is still to be flushed goes nowhere, so that Python ends in peace."""
     with contextlib.suppress(OSError, ValueError):  # a stdout without a file, as in tests
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())

@@ -117,7 +117,7 @@ def run_all(plan: Plan, out: Path, overwrite: bool, as_json: bool, viewing: View
     from ..sequence import Settings, process
 
     network = opened_segmenter(plan.segmenter, plan.classes, plan.masks, plan.threads)
-    source = Source(plan.reader, plan.rig, plan.topics, plan.tolerance)
+    source = Source(plan.reader, plan.rig, plan.topics, plan.tolerance, plan.bits)
     masks = NO_MASKS if network else plan.masks
     paths = source.find(plan.dataset)
     failed = 0

@@ -12,7 +12,7 @@ from ..errors import DatasetError
 from .bag import Bag, TopicIndex
 from .bag_file import Entry
 from .grouping import grouped, log_dropped, nanoseconds
-from .protocol import Dropped, OpenOptions
+from .protocol import Dropped, OpenOptions, said_bits
 from .recording import MaskFolder, Recording, find_rig, mask_path
 from .ros_images import decode_message
 from .topics import image_topics, mask_topics
@@ -67,11 +67,11 @@ class RosbagDataset(Recording):
             dropped += lost
         where = Path(f"{path}#{','.join(of_masks)}") if of_masks else mask_path(path, options.masks)
         stamps = [_stamp_name(time) for time in self._streams[0].times]
-        super().__init__(path, rig, rig_file, stamps, where)
+        super().__init__(path, rig, rig_file, stamps, where, options.bits)
         self.times = np.stack([stream.times for stream in self._streams], axis=1)
         self.dropped = dropped
         reader = "rosbag-split" if self._bag.parts > 1 else "rosbag"
-        self.reading = {"reader": reader, "topics": topics, "tolerance": tolerance / 1e9}
+        self.reading = {"reader": reader, "topics": topics, "tolerance": tolerance / 1e9, **said_bits(options)}
         if where is not None and not of_masks:
             own = [[_stamp_name(time) for time in stream.times] for stream in self._streams]
             self._folder = MaskFolder(where, names, [list(zip(stamps, mine, strict=True)) for mine in own])
@@ -82,7 +82,7 @@ class RosbagDataset(Recording):
         messages = self._bag.fetch([stream.entry(index) for stream in streams])
         self._mask_messages = messages[len(self._streams) :]
         own = messages[: len(self._streams)]
-        return [decode_message(self._where(k, index), message) for k, message in enumerate(own)]
+        return [decode_message(self._where(k, index), message, self._deep) for k, message in enumerate(own)]
 
     def _masks(self, index: int) -> Sequence[np.ndarray]:
         if not self._mask_streams:
