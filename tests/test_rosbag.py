@@ -185,7 +185,8 @@ def test_a_missing_topic_names_those_that_are_there(tmp_path: Path) -> None:
         open_dataset(bag, masks="none", topics="/a,/b,/notes")
     only_text = make(tmp_path / "s", "rosbag1", {"/notes": [Shot(START, np.zeros(0), "text")]})
     with pytest.raises(
-        DatasetError, match=r"no sensor_msgs/Image or CompressedImage, but /notes \(std_msgs/msg/String\)"
+        DatasetError,
+        match=r"no sensor_msgs/Image, CompressedImage or CompressedVideo, but /notes \(std_msgs/msg/String\)",
     ):
         open_dataset(only_text, masks="none")
 
