@@ -109,7 +109,7 @@ def evaluate(
     Parameters
     ----------
     dataset
-        Folder with truth/, or a folder of such folders.
+        Folder with truth/, a Middlebury folder with disp1.png or the like, or a folder of such folders.
     out
         What `run` wrote for it.
     """
