@@ -26,8 +26,12 @@ from seepast.rig import Rig
 
 SIZE = (96, 64)
 FRAMES, PERIOD, KEY_EVERY = 10, 50_000_000, 4
-TYPE = "foxglove_msgs/msg/CompressedVideo"
-FIELDS = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+TYPE, PACKET = "foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+FIELDS = {
+    TYPE: "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n",
+    PACKET: "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+    "bool is_bigendian\nuint8[] data\n",
+}
 STAMPS = [str(START + n * PERIOD) for n in range(FRAMES)]
 
 
@@ -58,18 +62,18 @@ def encoded(camera: int, codec: str = "libx264") -> list[bytes]:
 
 
 def make(
-    folder: Path, kind: str, streams: Sequence[Sequence[bytes | None]], form: str = "h264", suffix: str = "/foxglove"
+    folder: Path, kind: str, streams: Sequence[Sequence[bytes | None]], form: str = "h264", of: str = TYPE
 ) -> Path:
     """A bag of one topic per camera; None: that message was lost."""
     folder.mkdir(exist_ok=True)
     Rig.linear(len(streams), focal=96.0, spacing=0.1, size=SIZE).to_kalibr(folder / "rig.yaml")
     store: Any = get_typestore(Stores.ROS1_NOETIC if kind == "rosbag1" else Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(FIELDS, TYPE))
+    store.register(get_types_from_msg(FIELDS[of], of))
     path = folder / ("walk.bag" if kind == "rosbag1" else "walk")
     with _writer(path, kind, "") as writer:
         serialize = store.serialize_ros1 if kind == "rosbag1" else store.serialize_cdr
-        names = [f"/cam{k}/image_raw{suffix}" for k in range(len(streams))]
-        topics = [writer.add_connection(name, TYPE, typestore=store) for name in names]
+        names = [f"/cam{k}/image_raw/{of.partition('_')[0]}" for k in range(len(streams))]
+        topics = [writer.add_connection(name, of, typestore=store) for name in names]
         for n in range(FRAMES):
             for k, packets in enumerate(streams):
                 if packets[n] is None:
@@ -77,8 +81,13 @@ def make(
                 stamp = START + n * PERIOD + k * 1_000_000
                 time = store.types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
                 data = np.frombuffer(packets[n], np.uint8)
-                message = store.types[TYPE](timestamp=time, frame_id="camera", data=data, format=form)
-                writer.write(topics[k], stamp + 2_000_000, serialize(message, TYPE))
+                if of == TYPE:
+                    message = store.types[of](timestamp=time, frame_id="camera", data=data, format=form)
+                else:
+                    number = {"seq": 0} if kind == "rosbag1" else {}
+                    header = store.types["std_msgs/msg/Header"](stamp=time, frame_id="camera", **number)
+                    message = store.types[of](header, *SIZE, form, n, 0, False, data)
+                writer.write(topics[k], stamp + 2_000_000, serialize(message, of))
     return path
 
 
@@ -106,6 +115,16 @@ def test_h265(tmp_path: Path) -> None:
         make(tmp_path / "r", "mcap", [encoded(k, "libx265") for k in range(2)], "h265"), masks="none"
     )
     for n in (7, 1):
+        check(dataset.frame(STAMPS[n]).images[1], 1, n)
+
+
+@pytest.mark.parametrize("encoding", ["libx264", "h264;yuv420p;bgr8;bgr8"])
+@pytest.mark.parametrize("kind", KINDS[::2])
+def test_packets_of_ffmpeg_image_transport(kind: str, encoding: str, tmp_path: Path) -> None:
+    bag = make(tmp_path / "r", kind, [encoded(k) for k in range(2)], encoding, PACKET)
+    dataset = open_dataset(bag, masks="none")
+    assert list(dataset.stamps) == STAMPS
+    for n in (6, 7, 2):
         check(dataset.frame(STAMPS[n]).images[1], 1, n)
 
 
@@ -151,7 +170,7 @@ def test_what_cannot_be_decoded_is_named(change: Any, words: str, tmp_path: Path
 
 def test_other_formats_and_a_missing_extra_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag = make(tmp_path / "r", "mcap", [encoded(k) for k in range(2)], "theora")
-    with pytest.raises(DatasetError, match="video format 'theora' is not known; record h264"):
+    with pytest.raises(DatasetError, match="video format 'theora' is not known; record H"):
         open_dataset(bag, masks="none").frame(STAMPS[0])
     with pytest.raises(DatasetError, match=r"--masks names /cam0/image_raw.* is of type foxglove_msgs/msg/Compressed"):
         open_dataset(bag, masks="topics:/{}/image_raw/foxglove")

@@ -186,7 +186,7 @@ def test_a_missing_topic_names_those_that_are_there(tmp_path: Path) -> None:
     only_text = make(tmp_path / "s", "rosbag1", {"/notes": [Shot(START, np.zeros(0), "text")]})
     with pytest.raises(
         DatasetError,
-        match=r"no sensor_msgs/Image, CompressedImage or CompressedVideo, but /notes \(std_msgs/msg/String\)",
+        match=r"no sensor_msgs/Image, CompressedImage or video, but /notes \(std_msgs/msg/String\)",
     ):
         open_dataset(only_text, masks="none")
 

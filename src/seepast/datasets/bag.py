@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..extras import require
-from .bag_file import VIDEO_TYPE, BagFile, Entry
+from .bag_file import VIDEO_TYPES, BagFile, Entry
 from .bag_video import is_key
 from .forward import Forward
 from .recording import RIG_FILE
@@ -25,7 +25,7 @@ from .recording import RIG_FILE
 log = logging.getLogger("seepast")
 
 STILL_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-IMAGE_TYPES = (*STILL_TYPES, VIDEO_TYPE)
+IMAGE_TYPES = (*STILL_TYPES, *VIDEO_TYPES)
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 METADATA = "metadata.yaml"
 
@@ -88,7 +88,7 @@ class Bag:
     def index(self, topics: Sequence[str]) -> dict[str, TopicIndex]:
         """Read through the bag once for the time stamps of all images of `topics`; `fetch` gets these."""
         found: dict[str, list[Entry]] = {topic: [] for topic in topics}
-        keys: dict[str, list[bool]] = {topic: [] for topic in topics if self.topics[topic] == VIDEO_TYPE}
+        keys: dict[str, list[bool]] = {topic: [] for topic in topics if self.topics[topic] in VIDEO_TYPES}
         for file in self._files:
             for entry, message in file.messages(topics):
                 found[entry.topic].append(entry)

@@ -13,8 +13,15 @@ from typing import Any, NamedTuple
 
 from ..errors import DatasetError, SeepastError
 
-VIDEO_TYPE = "foxglove_msgs/msg/CompressedVideo"
-VIDEO_FIELDS = "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+VIDEO_TYPES = {  # not among those that rosbags knows by itself
+    "foxglove_msgs/msg/CompressedVideo": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+    ),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+        "bool is_bigendian\nuint8[] data\n"
+    ),
+}
 
 
 class Entry(NamedTuple):
@@ -83,7 +90,8 @@ def _deserializer(ros1: bool) -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(VIDEO_FIELDS, VIDEO_TYPE))
+    for name, definition in VIDEO_TYPES.items():
+        store.register(get_types_from_msg(definition, name))
     return store.deserialize_ros1 if ros1 else store.deserialize_cdr
 
 

@@ -1,7 +1,7 @@
-"""Topics of a bag that carry video: foxglove_msgs/CompressedVideo, one frame of H.264, H.265, VP9 or AV1 per message.
+"""Topics of a bag that carry video, one frame of H.264, H.265, VP9 or AV1 per message.
 
-Frames hold what has changed since the one before, so they are decoded in order, from the key frame before the one that
-is wanted. Needs the extra h264 (PyAV).
+That is foxglove_msgs/CompressedVideo and ffmpeg_image_transport_msgs/FFMPEGPacket. Frames hold what has changed since the
+one before, so they are decoded in order, from the key frame before the one that is wanted. Needs the extra h264 (PyAV).
 """
 
 from __future__ import annotations
@@ -15,16 +15,26 @@ from ..errors import DatasetError
 from ..extras import require
 from .bag_file import Entry
 
-CODECS = {"h264": "h264", "h265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "av1"}
+CODECS = {"264": "h264", "265": "hevc", "hevc": "hevc", "vp9": "vp9", "av1": "av1"}  # part of a name -> decoder
 _START = b"\0\0\1"  # of a NAL unit (Annex B)
 
 
 def is_key(message: Any) -> bool:
     """Whether decoding can begin with this frame; only H.264 (IDR) and H.265 (IRAP) are looked into."""
-    data, codec = message.data.tobytes(), CODECS.get(str(message.format))
+    data, codec = message.data.tobytes(), _codec(message)
     if codec == "h264":
         return any(kind & 31 == 5 for kind in _nal_bytes(data))
     return codec == "hevc" and any(16 <= (kind >> 1) & 63 <= 23 for kind in _nal_bytes(data))
+
+
+def _format(message: Any) -> str:
+    """ "h264" of a CompressedVideo; of an FFMPEGPacket also "libx264" or "h264_nvenc;yuv420p;bgr8;bgr8"."""
+    return str(message.format if hasattr(message, "format") else message.encoding)
+
+
+def _codec(message: Any) -> str | None:
+    name = _format(message).partition(";")[0].lower()
+    return next((codec for part, codec in CODECS.items() if part in name), None)
 
 
 def _nal_bytes(data: bytes) -> Iterator[int]:
@@ -43,7 +53,7 @@ class VideoTopic:
     """
 
     def __init__(self, entries: Sequence[Entry], keys: Sequence[bool]):
-        self._av = require("av", "h264", "decoding video topics (foxglove_msgs/CompressedVideo)")
+        self._av = require("av", "h264", "decoding the video topics of bags")
         self._entries, self._place = entries, {entry: n for n, entry in enumerate(entries)}
         known = [n for n, key in enumerate(keys) if key] or [0]
         self._begins = np.array(known)
@@ -65,7 +75,7 @@ class VideoTopic:
     def feed(self, where: str, message: Any) -> None:
         """Decode the next message. Raises DatasetError, beginning with `where`."""
         if self._decoder is None:
-            self._decoder = self._opened(where, str(message.format))
+            self._decoder = self._opened(where, message)
         try:
             data = message.data.tobytes()
             frames = self._decoder.decode(self._av.Packet(data)) if data else []  # no data would end the stream
@@ -84,10 +94,11 @@ class VideoTopic:
             )
         return self._image
 
-    def _opened(self, where: str, kind: str) -> Any:
-        if kind not in CODECS:
-            raise DatasetError(f"{where}: video format {kind!r} is not known; record {', '.join(CODECS)} or images")
-        decoder = self._av.CodecContext.create(CODECS[kind], "r")
+    def _opened(self, where: str, message: Any) -> Any:
+        codec = _codec(message)
+        if codec is None:
+            raise DatasetError(f"{where}: video format {_format(message)!r} is not known; record H.264, or images")
+        decoder = self._av.CodecContext.create(codec, "r")
         decoder.thread_type = "SLICE"  # threads by frames would hold pictures back
         decoder.flags |= self._av.codec.context.Flags.low_delay
         return decoder

@@ -9,7 +9,7 @@ from ..errors import DatasetError
 from ..rig import Camera
 from .bag import IMAGE_TYPES, STILL_TYPES, Bag
 
-TRANSPORTS = ("compressed", "foxglove")  # of image_transport and of foxglove_compressed_video_transport
+TRANSPORTS = ("compressed", "foxglove", "ffmpeg")  # what those of image_transport put behind the topic
 MASK_TOPICS = "topics:"  # the masks argument begins so where masks are messages, too
 
 
@@ -81,4 +81,4 @@ def _image_topics_there(bag: Bag) -> str:
     if images:
         return f"the bag has the images {', '.join(images)}"
     others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "nothing"
-    return f"the bag has no sensor_msgs/Image, CompressedImage or CompressedVideo, but {others}"
+    return f"the bag has no sensor_msgs/Image, CompressedImage or video, but {others}"
