@@ -1,7 +1,8 @@
 """Topics of a bag that carry video, one frame of H.264, H.265, VP9 or AV1 per message.
 
-That is foxglove_msgs/CompressedVideo and ffmpeg_image_transport_msgs/FFMPEGPacket. Frames hold what has changed since the
-one before, so they are decoded in order, from the key frame before the one that is wanted. Needs the extra h264 (PyAV).
+That is foxglove_msgs/CompressedVideo and ffmpeg_image_transport_msgs/FFMPEGPacket. Frames hold what has changed since
+the one before, so they are decoded in order, from the key frame before the one that is wanted. Needs the extra h264,
+which is PyAV.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class VideoTopic:
         self._decoder: Any = None
 
     def missing(self, wanted: Entry) -> Sequence[Entry]:
-        """What must go through `feed` before, in this order; `wanted` itself comes last. None if it was fed last."""
+        """What must go through `feed` before, in this order; `wanted` itself comes last. Empty if it was fed last."""
         place = self._place[wanted]
         if self._image is not None and place == self._next - 1:
             return []
