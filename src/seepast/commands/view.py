@@ -107,7 +107,7 @@ def _recording(run: RunFolder, dataset: Path | None, given: _Masks, source: Sour
         masks, network = _masks_of(run, path, given, said)
         return opened_recording(_as_then(source, said), path, masks, network)
     except SeepastError as error:
-        if dataset is not None or given.segmenter is not None:
+        if dataset is not None or given.segmenter is not None or given.classes is not None:
             raise
         log.warning("the inputs are left out (%s); name the recording with --dataset", error)
         return None
