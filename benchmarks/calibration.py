@@ -108,7 +108,7 @@ def evidence_and_disparity(run: Reconstructor, images, masks) -> tuple[np.ndarra
         result = run(images, masks)
     d, found, static, geometry, _ = labels.call_args.args
     shown, _ = stages.labels(*labels.call_args.args)
-    return confidence.of_views(d, found, static, shown, geometry, stages), result.disparity
+    return stages.evidence(d, found, static, shown, geometry), result.disparity
 
 
 def counted(evidence: np.ndarray, disparity: np.ndarray, truth: Truth) -> Counts:

@@ -53,6 +53,26 @@ NB_MODULE(_core, m) {
   });
 
   m.def(
+      "sample_colour",
+      [](In<uint8_t, 3> image, In<uint8_t, 2> mask, In<int16_t, 3> whole, In<uint16_t, 2> fraction,
+         Out<uint8_t, 3> out, Out<uint8_t, 2> mask_out) {
+        if (image.shape(0) < 2 || image.shape(1) < 2) throw std::invalid_argument("image is too small");
+        sample_colour(image.data(), mask.size() ? mask.data() : nullptr, static_cast<int>(image.shape(0)),
+                      static_cast<int>(image.shape(1)), whole.data(), fraction.data(), fraction.size(),
+                      out.data(), mask_out.data());
+      },
+      free_lock);
+
+  m.def(
+      "sample_plane",
+      [](In<uint8_t, 2> plane, In<int16_t, 3> whole, In<uint16_t, 2> fraction, Out<uint8_t, 2> out) {
+        if (plane.shape(0) < 2 || plane.shape(1) < 2) throw std::invalid_argument("plane is too small");
+        sample_plane(plane.data(), static_cast<int>(plane.shape(0)), static_cast<int>(plane.shape(1)),
+                     whole.data(), fraction.data(), fraction.size(), out.data());
+      },
+      free_lock);
+
+  m.def(
       "describe",
       [](In<uint8_t, 3> grey, Out<int8_t, 4> gradients, Out<uint8_t, 4> descriptors) {
         describe(grey.data(), static_cast<int>(grey.shape(0)), static_cast<int>(grey.shape(1)),

@@ -2,6 +2,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <stdexcept>
+#include <vector>
 
 #include "multiview.h"
 
@@ -30,49 +31,48 @@ Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, s
 
 void bind_multiview(nb::module_& m) {
   const auto free_lock = nb::call_guard<nb::gil_scoped_release>();
-  m.attr("BLOCK") = kBlock;
-  m.attr("PLANES") = kPlanes;
 
   m.def(
       "windows",
       [](In<uint16_t, 2> disparity, In<uint8_t, 2> where, int ratio, const Grid& grid, int reach, int spread,
-         Out<uint64_t, 2> active) {
+         Out<uint64_t, 2> active, Out<int32_t, 1> start) {
         if (grid.count > kMostChunks * kChunk) throw std::invalid_argument("too many candidates");
         windows(disparity.data(), where.data(), static_cast<int>(disparity.shape(0)),
                 static_cast<int>(disparity.shape(1)), ratio, grid, reach, spread,
-                static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)), active.data());
+                static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)), active.data(),
+                start.data());
       },
       free_lock);
 
   m.def(
-      "census",
-      [](In<float, 2> offsets, In<uint8_t, 4> colour, In<uint8_t, 3> is_static, In<int32_t, 2> cubic,
-         In<int32_t, 1> luma, Out<uint8_t, 4> planes, Out<uint64_t, 4> unclear) {
-        const Array array = array_of(offsets, 0, 0, is_static.shape(1), is_static.shape(2));
-        census(array, colour.data(), is_static.data(), cubic.data(), luma.data(),
-               static_cast<int>(planes.shape(3)), planes.data(), unclear.data());
-      },
-      free_lock);
-
-  m.def(
-      "chunk_starts",
-      [](In<uint64_t, 2> active, Out<int32_t, 1> start) {
-        chunk_starts(active.data(), active.size(), start.data());
-      },
-      free_lock);
-
-  m.def(
-      "volume",
-      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 4> planes, In<uint64_t, 4> unclear, int view,
-         const Grid& grid, In<uint64_t, 2> active, In<int32_t, 1> start, In<int32_t, 2> with_own,
-         In<int32_t, 2> others, In<uint8_t, 1> census_scale, uint8_t few, uint8_t colour_cap, uint8_t lone,
-         uint8_t unseen, Out<uint8_t, 2> out) {
-        const Array array = array_of(offsets, cx, cy, active.shape(0), active.shape(1));
-        const FeatureRows rows{planes.data(), unclear.data(), static_cast<int>(planes.shape(3))};
+      "volumes",
+      [](In<float, 3> offsets, In<float, 2> centers, In<int32_t, 1> numbers, In<uint8_t, 4> colour,
+         In<uint8_t, 3> is_static, In<int32_t, 2> cubic, In<int32_t, 1> luma, const Grid& grid,
+         In<uint64_t, 3> active, In<int32_t, 2> start, In<int32_t, 2> pairs, In<int32_t, 2> counts,
+         In<uint8_t, 1> census_scale, uint8_t few, uint8_t colour_cap, uint8_t lone, uint8_t unseen,
+         Out<uint8_t, 2> out) {
+        std::vector<MatchedView> views;
+        const int32_t* pair = pairs.data();
+        uint8_t* to = out.data();
+        for (size_t i = 0; i < numbers.size(); ++i) {
+          const size_t cameras = offsets.shape(1);
+          const float* center = centers.data() + 2 * i;
+          const Array array{static_cast<int>(cameras),
+                            static_cast<int>(active.shape(1)),
+                            static_cast<int>(active.shape(2)),
+                            center[0],
+                            center[1],
+                            offsets.data() + i * cameras * kOffsets};
+          const int32_t *begin = start.data() + i * start.shape(1), *count = counts.data() + 2 * i;
+          const Pairs with_own{pair, count[0]}, others{pair + 2 * count[0], count[1]};
+          views.push_back(
+              {array, numbers.data()[i], {active.data() + i * array.pixels(), begin}, with_own, others, to});
+          pair += 2 * (count[0] + count[1]);
+          to += static_cast<size_t>(kChunk) * begin[array.pixels()];
+        }
         const PairCostParams params{census_scale.data(), few, colour_cap, lone, unseen};
-        volume(array, rows, view, grid, Chunks{active.data(), start.data()}, with_own.data(),
-               static_cast<int>(with_own.shape(0)), others.data(), static_cast<int>(others.shape(0)), params,
-               out.data());
+        volumes(views.data(), static_cast<int>(views.size()), colour.data(), is_static.data(), cubic.data(),
+                luma.data(), grid, params);
       },
       free_lock);
 

@@ -1,9 +1,10 @@
 // Stage "refocus" of the many-view method: the weighted mean of the chosen rays' colours, sampled with Keys'
 // cubic.
 #include <algorithm>
-#include <bit>
+#include <array>
 #include <cmath>
 #include <cstring>
+#include <vector>
 
 #include "multiview.h"
 
@@ -11,7 +12,7 @@ namespace seepast {
 namespace {
 
 // many.py cubic_weights.
-void cubic_weights(float t, float* w) {
+[[gnu::always_inline]] inline void cubic_weights(float t, float* w) {
   const float near = 1.0f - t, far = 2.0f - t, beyond = 1.0f + t;
   w[0] = ((-0.5f * beyond + 2.5f) * beyond - 4.0f) * beyond + 2.0f;
   w[1] = (1.5f * t - 2.5f) * t * t + 1.0f;
@@ -20,56 +21,113 @@ void cubic_weights(float t, float* w) {
 }
 
 constexpr int kTaps = 4;
-// Of four rows, four bytes of one of their pixels each: three are colours.
-typedef uint8_t Bytes __attribute__((vector_size(16)));
-typedef uint16_t Words __attribute__((vector_size(16)));
-typedef int32_t Longs __attribute__((vector_size(16)));
-typedef float Floats __attribute__((vector_size(16)));
+constexpr int kBlock = 64;  // pixels that are sampled together
 
-// The colours of the four rows. Spelt out, since compilers make a bad job of converting all at once.
-inline void spread(const Bytes& bytes, Floats* rows) {
-  static_assert(std::endian::native == std::endian::little);
-  const Bytes none = {};
-  const Bytes low =
-      __builtin_shufflevector(bytes, none, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
-  const Bytes high =
-      __builtin_shufflevector(bytes, none, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
-  const Words pair[2] = {reinterpret_cast<Words>(low), reinterpret_cast<Words>(high)}, zero = {};
-  for (int j = 0; j < 2; ++j) {
-    const Words first = __builtin_shufflevector(pair[j], zero, 0, 8, 1, 9, 2, 10, 3, 11);
-    const Words second = __builtin_shufflevector(pair[j], zero, 4, 12, 5, 13, 6, 14, 7, 15);
-    rows[2 * j] = __builtin_convertvector(reinterpret_cast<Longs>(first), Floats);
-    rows[2 * j + 1] = __builtin_convertvector(reinterpret_cast<Longs>(second), Floats);
+// Pixels of a row that all have a ray of camera k, and what is sampled of them.
+struct Batch {
+  int count;
+  int32_t place[kBlock], x[kBlock];  // in the row's list of wanted pixels; column
+  float d[kBlock];                   // px
+  int32_t left[kBlock], top[kBlock], column[kBlock],
+      row[kBlock];  // of the taps, less one; of the nearest pixel
+  float wx[kTaps][kBlock], wy[kTaps][kBlock];
+  uint32_t words[kTaps][3][kBlock];  // of the rows, four pixels each
+  float sample[3][kBlock];
+};
+
+[[gnu::always_inline]] inline void find_taps(const float* o, float cx, float cy, int y, Batch& batch) {
+  const float offset[kOffsets] = {o[0], o[1], o[2], o[3], o[4]};
+  for (int i = 0; i < kBlock; ++i) {
+    const RayShift shift = ray_shift(offset, batch.d[i]);
+    const float dx = ray_dx(shift, batch.x[i], cx), dy = ray_dy(shift, y, cy);
+    const int left = floor_int(dx), top = floor_int(dy);
+    float wx[kTaps], wy[kTaps];
+    cubic_weights(dx - static_cast<float>(left), wx);
+    cubic_weights(dy - static_cast<float>(top), wy);
+    for (int j = 0; j < kTaps; ++j) batch.wx[j][i] = wx[j], batch.wy[j][i] = wy[j];
+    batch.left[i] = batch.x[i] + left - 1;
+    batch.top[i] = y + top - 1;
+    batch.column[i] = batch.x[i] + whole_offset(dx);
+    batch.row[i] = y + whole_offset(dy);
   }
 }
 
-// image [H, W, 3] at (x + dx, y + dy), edges continued.
-void bicubic(const Array& array, const uint8_t* image, int x, int y, float dx, float dy, float* out) {
-  const int left = floor_int(dx), top = floor_int(dy), first = x + left - 1;
-  float wx[kTaps], wy[kTaps];
-  cubic_weights(dx - static_cast<float>(left), wx);
-  cubic_weights(dy - static_cast<float>(top), wy);
-  const bool inside = first >= 0 && first + kTaps < array.width;  // and a byte beyond the last colour
-  alignas(16) uint32_t taps[kTaps][kTaps] = {};                   // [column][row]: the pixel's colours
-  for (int j = 0; j < kTaps; ++j) {
-    const size_t line = static_cast<size_t>(clamp(y + top + j - 1, 0, array.height - 1)) * array.width;
-    for (int i = 0; i < kTaps; ++i)
-      if (inside)
-        std::memcpy(&taps[i][j], image + 3 * (line + first + i), 4);
-      else
-        std::memcpy(&taps[i][j], image + 3 * (line + clamp(first + i, 0, array.width - 1)), 3);
+// The bytes of 4 x 4 pixels each, of image [H, W, 3]; edges continued.
+void fetch(const uint8_t* image, int height, int width, Batch& batch) {
+  for (int i = 0; i < batch.count; ++i) {
+    const int left = batch.left[i];
+    const bool inside = left >= 0 && left + kTaps <= width;
+    for (int j = 0; j < kTaps; ++j) {
+      const uint8_t* line = image + 3 * static_cast<size_t>(clamp(batch.top[i] + j, 0, height - 1)) * width;
+      uint8_t ends[12];
+      if (!inside)
+        for (int t = 0; t < kTaps; ++t)
+          std::memcpy(ends + 3 * t, line + 3 * clamp(left + t, 0, width - 1), 3);
+      const uint8_t* from = inside ? line + 3 * left : ends;
+      for (int w = 0; w < 3; ++w) std::memcpy(&batch.words[j][w][i], from + 4 * w, 4);
+    }
   }
-  Floats line[kTaps] = {};
-  for (int i = 0; i < kTaps; ++i) {
-    Bytes bytes;
-    std::memcpy(&bytes, taps[i], sizeof bytes);
-    Floats rows[kTaps];
-    spread(bytes, rows);
-    for (int j = 0; j < kTaps; ++j) line[j] += wx[i] * rows[j];
+}
+
+[[gnu::always_inline]] inline void interpolate(Batch& batch) {
+  for (int c = 0; c < 3; ++c) {
+    float* __restrict total = batch.sample[c];
+    for (int i = 0; i < kBlock; ++i) total[i] = 0;
+    for (int j = 0; j < kTaps; ++j) {
+      const uint32_t* words[kTaps];
+      int bits[kTaps];
+      for (int t = 0; t < kTaps; ++t)
+        words[t] = batch.words[j][(3 * t + c) / 4], bits[t] = (3 * t + c) % 4 * 8;
+      for (int i = 0; i < kBlock; ++i) {
+        float line = 0;
+        for (int t = 0; t < kTaps; ++t)
+          line += batch.wx[t][i] * static_cast<float>(static_cast<int>(words[t][i] >> bits[t] & 255));
+        total[i] += batch.wy[j][i] * line;
+      }
+    }
   }
-  Floats total = {};
-  for (int j = 0; j < kTaps; ++j) total += wy[j] * line[j];
-  for (int c = 0; c < 3; ++c) out[c] = total[c];
+}
+
+SEEPAST_CLONES
+void find(const float* offset, float cx, float cy, int y, Batch& batch) {
+  find_taps(offset, cx, cy, y, batch);
+}
+SEEPAST_CLONES
+void sample(Batch& batch) { interpolate(batch); }
+
+// Of a row's wanted pixels, the sums over rays.
+struct Sums {
+  explicit Sums(int width) : x(width), total(width), weights(width) {}
+  std::vector<int32_t> x;
+  std::vector<std::array<float, 3>> total;
+  std::vector<float> weights;
+};
+
+// The next of a row's wanted pixels, from `next` on, that have a ray of camera k. Returns where to go on.
+int gather(const uint16_t* rays, const uint16_t* d, int k, int next, int count, const Sums& sums,
+           Batch& batch) {
+  int n = 0;
+  for (; next < count && n < kBlock; ++next) {
+    const int x = sums.x[next];
+    batch.place[n] = next;
+    batch.x[n] = x;
+    batch.d[n] = static_cast<float>(d[x]) / static_cast<float>(kUnits);
+    n += rays[x] >> k & 1;
+  }
+  batch.count = n;
+  return next;
+}
+
+void add(const Array& array, const uint8_t* clear, float near, float edge, const Batch& batch, Sums& sums) {
+  for (int i = 0; i < batch.count; ++i) {
+    const int column = clamp(batch.column[i], 0, array.width - 1);
+    const int row = clamp(batch.row[i], 0, array.height - 1);
+    const bool is_clear = clear[static_cast<size_t>(row) * array.width + column];
+    const float weight = (is_clear ? 1.0f : edge) * near;
+    const int n = batch.place[i];
+    for (int c = 0; c < 3; ++c) sums.total[n][c] += weight * batch.sample[c][i];
+    sums.weights[n] += weight;
+  }
 }
 
 }  // namespace
@@ -78,32 +136,36 @@ void blend(const Array& array, int reference, const uint8_t* colour, const uint1
            const uint8_t* clear, const float* near, float edge, const uint16_t* d, const uint8_t* wanted,
            uint8_t* background) {
   const size_t pixels = array.pixels();
-#pragma omp parallel for schedule(dynamic, 8)
-  for (int y = 0; y < array.height; ++y) {
-    const size_t line = static_cast<size_t>(y) * array.width;
-    std::copy_n(colour + 3 * (reference * pixels + line), 3 * array.width, background + 3 * line);
-    for (int x = 0; x < array.width; ++x) {
-      const size_t at = line + x;
-      if (!wanted[at]) continue;
-      uint8_t* out = background + 3 * at;
-      const float disparity = static_cast<float>(d[at]) / static_cast<float>(kUnits);
-      float total[3] = {0, 0, 0}, weights = 0;
-      for (unsigned rest = rays[at]; rest; rest &= rest - 1) {
-        const int k = std::countr_zero(rest);
-        const RayShift shift = array.shift(k, disparity);
-        const float dx = ray_dx(shift, x, array.cx), dy = ray_dy(shift, y, array.cy);
-        const int column = clamp(x + whole_offset(dx), 0, array.width - 1);
-        const int row = clamp(y + whole_offset(dy), 0, array.height - 1);
-        const bool is_clear = clear[k * pixels + static_cast<size_t>(row) * array.width + column];
-        const float weight = (is_clear ? 1.0f : edge) * near[k];
-        float sample[3];
-        bicubic(array, colour + 3 * k * pixels, x, y, dx, dy, sample);
-        for (int c = 0; c < 3; ++c) total[c] += weight * sample[c];
-        weights += weight;
+#pragma omp parallel
+  {
+    Sums sums(array.width);
+    Batch batch{};
+#pragma omp for schedule(dynamic, 8)
+    for (int y = 0; y < array.height; ++y) {
+      const size_t line = static_cast<size_t>(y) * array.width;
+      std::copy_n(colour + 3 * (reference * pixels + line), 3 * array.width, background + 3 * line);
+      int count = 0;
+      for (int x = 0; x < array.width; ++x) {
+        sums.x[count] = x;
+        count += wanted[line + x] != 0;
       }
-      for (int c = 0; c < 3; ++c) {
-        const float value = std::floor(total[c] / (weights > 0 ? weights : 1.0f) + 0.5f);
-        out[c] = static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
+      std::fill_n(sums.total.begin(), count, std::array<float, 3>{});
+      std::fill_n(sums.weights.begin(), count, 0.0f);
+      for (int k = 0; k < array.cameras; ++k)
+        for (int next = 0; next < count;) {
+          next = gather(rays + line, d + line, k, next, count, sums, batch);
+          find(array.offsets + kOffsets * k, array.cx, array.cy, y, batch);
+          fetch(colour + 3 * k * pixels, array.height, array.width, batch);
+          sample(batch);
+          add(array, clear + k * pixels, near[k], edge, batch, sums);
+        }
+      for (int n = 0; n < count; ++n) {
+        const float weight = sums.weights[n];
+        for (int c = 0; c < 3; ++c) {
+          const float value = std::floor(sums.total[n][c] / (weight > 0 ? weight : 1.0f) + 0.5f);
+          background[3 * (line + sums.x[n]) + c] =
+              static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
+        }
       }
     }
   }

@@ -1,17 +1,15 @@
 // Stage "describe" of the many-view method: cubic samples at quarter pixels, their census and which of it is
-// static. Bands of rows are worked on one by one, so that what a band needs stays in the cache.
+// static, row by row.
+#include "census.h"
+
 #include <algorithm>
 #include <cstring>
-#include <vector>
-
-#include "multiview.h"
 
 namespace seepast {
 namespace {
 
-constexpr int kReach = 3, kNeighbours = 8 * kBytes;
-constexpr int kBandRows = 32;
-constexpr int kMargin = 16;  // empty columns on either side of a band's rows
+constexpr int kReach = Describer::kReach, kNeighbours = 8 * kBytes;
+constexpr int kMargin = 16;  // empty columns on either side of a row of luma
 
 // The neighbours as offsets (dy, dx), in the order of many.py REACH.
 struct Neighbour {
@@ -117,132 +115,95 @@ void mark_unclear(const uint8_t* valid, int stride, uint8_t* __restrict flags, u
   out[stride / 64] = ~uint64_t{0};
 }
 
-struct View {
-  const Array& array;
-  const uint8_t* colour;
-  const uint8_t* is_static;
-  const int32_t *cubic, *luma;
-  int stride;
-  uint8_t* planes;
-  uint64_t* unclear;
-
-  uint8_t* plane(int y, int number) const {
-    return planes + (static_cast<size_t>(y) * kPlanes + number) * stride + kBlock;
-  }
-};
-
-// Luma and static flags of the rows of a band and kReach rows around it, and what makes features of them.
-class Band {
- public:
-  Band(int width, int stride)
-      : line(width + 2 * kMargin),
-        luma(static_cast<size_t>(kRows) * 4 * line),
-        is_static(static_cast<size_t>(kRows) * 2 * line),
-        channels(3 * static_cast<size_t>(width + 3)),
-        bright(width + 3),
-        flags(stride) {}
-
-  void describe(const View& view, int from, int to) {
-    first = from - kReach;
-    for (int y = first; y < to + kReach; ++y) sample(view, y, y >= from && y < to);
-    for (int y = from; y < to; ++y) {
-      for (int phase = 0; phase < 4; ++phase) census_row(view, y, phase);
-      for (int phase = 0; phase < 2; ++phase) valid_row(view, y, phase);
-    }
-  }
-
- private:
-  static constexpr int kRows = kBandRows + 2 * kReach;
-  uint16_t* luma_row(int y, int phase) {
-    return luma.data() + (static_cast<size_t>(y - first) * 4 + phase) * line + kMargin;
-  }
-  uint8_t* static_row(int y, int phase) {
-    return is_static.data() + (static_cast<size_t>(y - first) * 2 + phase) * line + kMargin;
-  }
-
-  // Row y of the band; its colours only if they are `wanted`.
-  void sample(const View& view, int y, bool wanted) {
-    const int width = view.array.width;
-    if (y < 0 || y >= view.array.height) {
-      for (int phase = 0; phase < 4; ++phase) std::fill_n(luma_row(y, phase), width, uint16_t{0});
-      for (int phase = 0; phase < 2; ++phase) std::fill_n(static_row(y, phase), width, uint8_t{0});
-      return;
-    }
-    int16_t* lines[3] = {channels.data(), channels.data() + width + 3, channels.data() + 2 * (width + 3)};
-    split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, lines[0] + 1, lines[1] + 1,
-              lines[2] + 1, bright.data() + 1);
-    extend_edges(bright.data(), width);
-    for (int phase = 0; phase < 4; ++phase)
-      sample_luma(bright.data(), width, view.cubic + 4 * phase, luma_row(y, phase));
-    for (int c = 0; wanted && c < 3; ++c) {
-      extend_edges(lines[c], width);
-      for (int phase = 0; phase < 4; ++phase)
-        sample_row(lines[c], width, view.cubic + 4 * phase, view.plane(y, plane_colour(phase) + c));
-    }
-    const uint8_t* here = view.is_static + static_cast<size_t>(y) * width;
-    uint8_t *whole = static_row(y, 0), *between = static_row(y, 1);
-    for (int x = 0; x < width; ++x) whole[x] = here[x];
-    for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
-    between[width - 1] = 0;
-  }
-
-  void census_row(const View& view, int y, int phase) {
-    const uint16_t* mid = luma_row(y, phase);
-    for (int byte = 0; byte < kBytes; ++byte) {
-      const uint16_t* around[8];
-      for (int i = 0; i < 8; ++i) {
-        const auto [dy, dx] = kAround.list[8 * byte + i];
-        around[i] = luma_row(y + dy, phase) + dx;
-      }
-      compare_row(mid, around, view.array.width, view.plane(y, plane_census(phase) + byte));
-    }
-  }
-
-  // Which neighbours are static, at whole (phase 0) or fractional positions.
-  void valid_row(const View& view, int y, int phase) {
-    const int width = view.array.width;
-    uint8_t* planes = view.plane(y, plane_valid(phase)) - kBlock;
-    std::memset(planes, 0, (kBytes + 1) * static_cast<size_t>(view.stride));
-    for (int byte = 0; byte < kBytes; ++byte) {
-      const uint8_t* around[8];
-      for (int i = 0; i < 8; ++i) {
-        const auto [dy, dx] = kAround.list[8 * byte + i];
-        around[i] = static_row(y + dy, phase) + dx;
-      }
-      gather_bits(around, width, view.plane(y, plane_valid(phase) + byte));
-    }
-    std::memcpy(view.plane(y, plane_static(phase)), static_row(y, phase), width);
-    mark_unclear(planes, view.stride, flags.data(),
-                 view.unclear + (static_cast<size_t>(y) * 2 + phase) * (view.stride / 64 + 1));
-  }
-
-  size_t line;
-  int first = 0;
-  std::vector<uint16_t> luma;
-  std::vector<uint8_t> is_static;
-  std::vector<int16_t> channels;
-  std::vector<int32_t> bright;
-  std::vector<uint8_t> flags;
-};
-
 }  // namespace
 
-void census(const Array& array, const uint8_t* colour, const uint8_t* is_static, const int32_t* cubic,
-            const int32_t* luma, int stride, uint8_t* planes, uint64_t* unclear) {
-  const int bands = (array.height + kBandRows - 1) / kBandRows;
-#pragma omp parallel
-  {
-    Band band(array.width, stride);
-#pragma omp for schedule(dynamic, 1)
-    for (int task = 0; task < array.cameras * bands; ++task) {
-      const int k = task / bands, from = task % bands * kBandRows;
-      const size_t rows = static_cast<size_t>(k) * array.height;
-      const View view{
-          array,  colour + k * array.pixels() * 3,  is_static + k * array.pixels(),        cubic, luma,
-          stride, planes + rows * kPlanes * stride, unclear + rows * 2 * (stride / 64 + 1)};
-      band.describe(view, from, std::min(from + kBandRows, array.height));
-    }
+Describer::Describer(const DescribedView& view, FeatureRing& ring, int camera)
+    : view(view),
+      ring(ring),
+      camera(camera),
+      line(view.width + 2 * kMargin),
+      luma(static_cast<size_t>(kRows) * 4 * line),
+      is_static(static_cast<size_t>(kRows) * 2 * line),
+      channels(3 * static_cast<size_t>(view.width + 3)),
+      bright(view.width + 3),
+      flags(ring.stride) {}
+
+void Describer::describe(int from, int to) {
+  if (from > next + kReach ||
+      from + ring.slots < next) {  // too far on, or back: what lies between is not made
+    next = from;
+    sampled = from - kReach;
   }
+  for (; next < to; ++next) {
+    for (; sampled <= next + kReach; ++sampled) sample(sampled);
+    for (int phase = 0; phase < 4; ++phase) census_row(next, phase);
+    for (int phase = 0; phase < 2; ++phase) valid_row(next, phase);
+  }
+}
+
+uint16_t* Describer::luma_row(int y, int phase) {
+  return luma.data() + (static_cast<size_t>(y & (kRows - 1)) * 4 + phase) * line + kMargin;
+}
+
+uint8_t* Describer::static_row(int y, int phase) {
+  return is_static.data() + (static_cast<size_t>(y & (kRows - 1)) * 2 + phase) * line + kMargin;
+}
+
+void Describer::sample(int y) {
+  const int width = view.width;
+  if (y < 0 || y >= view.height) {
+    for (int phase = 0; phase < 4; ++phase) std::fill_n(luma_row(y, phase), width, uint16_t{0});
+    for (int phase = 0; phase < 2; ++phase) std::fill_n(static_row(y, phase), width, uint8_t{0});
+    return;
+  }
+  int16_t* lines[3] = {channels.data(), channels.data() + width + 3, channels.data() + 2 * (width + 3)};
+  split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, lines[0] + 1, lines[1] + 1,
+            lines[2] + 1, bright.data() + 1);
+  extend_edges(bright.data(), width);
+  for (int phase = 0; phase < 4; ++phase)
+    sample_luma(bright.data(), width, view.cubic + 4 * phase, luma_row(y, phase));
+  for (int c = 0; c < 3; ++c) {
+    extend_edges(lines[c], width);
+    for (int phase = 0; phase < 4; ++phase)
+      sample_row(lines[c], width, view.cubic + 4 * phase, plane(y, plane_colour(phase) + c));
+  }
+  const uint8_t* here = view.is_static + static_cast<size_t>(y) * width;
+  uint8_t *whole = static_row(y, 0), *between = static_row(y, 1);
+  for (int x = 0; x < width; ++x) whole[x] = here[x];
+  for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
+  between[width - 1] = 0;
+}
+
+void Describer::census_row(int y, int phase) {
+  const uint16_t* mid = luma_row(y, phase);
+  for (int byte = 0; byte < kBytes; ++byte) {
+    const uint16_t* around[8];
+    for (int i = 0; i < 8; ++i) {
+      const auto [dy, dx] = kAround.list[8 * byte + i];
+      around[i] = luma_row(y + dy, phase) + dx;
+    }
+    compare_row(mid, around, view.width, plane(y, plane_census(phase) + byte));
+  }
+}
+
+// Which neighbours are static, at whole (phase 0) or fractional positions.
+void Describer::valid_row(int y, int phase) {
+  uint8_t* planes = plane(y, plane_valid(phase)) - kBlock;
+  std::memset(planes, 0, (kBytes + 1) * static_cast<size_t>(ring.stride));
+  for (int byte = 0; byte < kBytes; ++byte) {
+    const uint8_t* around[8];
+    for (int i = 0; i < 8; ++i) {
+      const auto [dy, dx] = kAround.list[8 * byte + i];
+      around[i] = static_row(y + dy, phase) + dx;
+    }
+    gather_bits(around, view.width, plane(y, plane_valid(phase) + byte));
+  }
+  std::memcpy(plane(y, plane_static(phase)), static_row(y, phase), view.width);
+  mark_unclear(planes, ring.stride, flags.data(), ring.row(camera, y).unclear + phase * ring.words);
+}
+
+uint8_t* Describer::plane(int y, int number) const {
+  return ring.row(camera, y).planes + static_cast<size_t>(number) * ring.stride + kBlock;
 }
 
 }  // namespace seepast

@@ -27,6 +27,13 @@ struct Grid {
   }
 };
 
+// uint8 [height, width, 3], and a mask [height, width] or nullptr, sampled at `count` pixels, as cv2.remap
+// with INTER_LINEAR and BORDER_REPLICATE: whole (x, y), and 32 y + x in 32nds between. height, width >= 2.
+void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int width, const int16_t* whole,
+                   const uint16_t* fraction, size_t count, uint8_t* out, uint8_t* mask_out);
+void sample_plane(const uint8_t* plane, int height, int width, const int16_t* whole, const uint16_t* fraction,
+                  size_t count, uint8_t* out);
+
 // gradients int8 [K, 2, H, W]; descriptors uint8 [K, H, W, 16], biased by 128.
 void describe(const uint8_t* grey, int cameras, int height, int width, int8_t* gradients,
               uint8_t* descriptors);

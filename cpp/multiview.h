@@ -20,51 +20,32 @@ struct Chunks {
   const int32_t* start;    // [H W + 1]
 };
 
-// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height,
-// width].
+// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height, width]
+// and start int32 [height width + 1] are Chunks.
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active);
-
-// Everything matching reads of a row of one camera: rows [K, H, kPlanes, stride] of bytes, column x at x +
-// kBlock. The 24 bits of census and valid are three planes each. Outside the image nothing is valid or static
-// and the rest is not set. Phase p is the sample at x + p / 4.
-constexpr int kBytes = 3;
-constexpr int plane_census(int phase) { return 2 * kBytes * phase; }
-constexpr int plane_colour(int phase) { return plane_census(phase) + kBytes; }
-constexpr int plane_valid(int phase) { return 8 * kBytes + (phase ? kBytes + 1 : 0); }
-constexpr int plane_static(int phase) { return plane_valid(phase) + kBytes; }
-constexpr int kPlanes = 10 * kBytes + 2;
-
-struct FeatureRows {
-  const uint8_t* planes;    // [K, H, kPlanes, stride]
-  const uint64_t* unclear;  // [K, H, 2, stride / 64 + 1]: bit per column that is not static or lacks a valid
-                            // bit, whole and fractional
-  int stride;
-
-  const uint8_t* row(int camera, int height, int y) const {
-    return planes + (static_cast<size_t>(camera) * height + y) * kPlanes * stride;
-  }
-  const uint64_t* unclear_row(int camera, int height, int y, int phase) const {
-    return unclear + ((static_cast<size_t>(camera) * height + y) * 2 + (phase ? 1 : 0)) * (stride / 64 + 1);
-  }
-};
-
-// colour uint8 [K, H, W, 3]; is_static uint8 [K, H, W]; cubic int32 [4, 4] in 128ths; luma int32 [3] in
-// 256ths.
-void census(const Array& array, const uint8_t* colour, const uint8_t* is_static, const int32_t* cubic,
-            const int32_t* luma, int stride, uint8_t* planes, uint64_t* unclear);
-
-void chunk_starts(const uint64_t* active, size_t pixels, int32_t* start);
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
+             int32_t* start);
 
 struct PairCostParams {
   const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few
   uint8_t few, colour_cap, lone, unseen;
 };
-// pairs int32 [n, 2] of cameras: with the view's own ray, and without. The view's own offsets are 0.
-// out uint8 [n, kChunk].
-void volume(const Array& array, const FeatureRows& features, int view, const Grid& grid, const Chunks& chunks,
-            const int32_t* with_own, int with_own_count, const int32_t* others, int others_count,
-            const PairCostParams& params, uint8_t* out);
+struct Pairs {
+  const int32_t* cameras;  // [count, 2]
+  int count;
+};
+// A view that is matched: the array as seen from camera `number`, whose own offsets are 0.
+struct MatchedView {
+  Array array;
+  int number;
+  Chunks chunks;
+  Pairs with_own, others;  // with the view's own ray, and without
+  uint8_t* out;            // [n, kChunk]
+};
+// colour uint8 [K, H, W, 3]; is_static uint8 [K, H, W]; cubic int32 [4, 4] in 128ths; luma int32 [3] in
+// 256ths.
+void volumes(const MatchedView* views, int count, const uint8_t* colour, const uint8_t* is_static,
+             const int32_t* cubic, const int32_t* luma, const Grid& grid, const PairCostParams& params);
 
 struct Penalties {
   int small;

@@ -1,5 +1,7 @@
 // Stage "candidates" of the many-view method: where a coarser level says to look.
 #include <algorithm>
+#include <bit>
+#include <numeric>
 #include <vector>
 
 #include "multiview.h"
@@ -7,52 +9,129 @@
 namespace seepast {
 namespace {
 
-// Quotient rounded down; C++ rounds towards zero.
-inline int floor_div(int a, int b) { return a / b - (a % b != 0 && (a % b < 0) != (b < 0)); }
+// The number of the chunk that an offset from the first candidate lies in, in 32nds of a pixel. The quotient
+// is rounded down right: a multiple of `length` is farther from the next float below than 1 / length.
+inline int chunk_of(int offset, float length, int last) {
+  return std::min(static_cast<int>(static_cast<float>(std::max(offset, 0)) / length), last);
+}
 
 // The chunks within reach of each pixel of a coarse row.
-void row_bits(const uint16_t* d, int width, int ratio, const Grid& grid, int reach, uint64_t* bits) {
-  const int origin = kUnits / 8 * grid.first, spacing = kUnits / 8 * grid.step;
-  const auto chunk = [&](int candidate) { return std::clamp(candidate, 0, grid.count - 1) / kChunk; };
+SEEPAST_CLONES
+void row_bits(const uint16_t* __restrict d, int width, int ratio, const Grid& grid, int reach,
+              uint64_t* __restrict bits) {
+  const int origin = kUnits / 8 * grid.first, spacing = kUnits / 8 * grid.step,
+            last = grid.count / kChunk - 1;
+  const float length = static_cast<float>(kChunk * spacing);
   for (int x = 0; x < width; ++x) {
     const int centre = d[x] * ratio - origin;
-    const int low = chunk(floor_div(centre - reach, spacing)),
-              high = chunk(-floor_div(-(centre + reach), spacing));
+    const int low = chunk_of(centre - reach, length, last),
+              high = chunk_of(centre + reach + spacing - 1, length, last);
     bits[x] = (~uint64_t{0} >> (63 - (high - low))) << low;
   }
+}
+
+// Row j of a ring of `rows` rows.
+struct Ring {
+  Ring(int rows, int columns) : rows(rows), columns(columns), bits(static_cast<size_t>(rows) * columns) {}
+  uint64_t* row(int j) { return bits.data() + static_cast<size_t>(j % rows) * columns; }
+  int rows, columns;
+  std::vector<uint64_t> bits;
+};
+
+SEEPAST_CLONES
+void add_row(const uint64_t* __restrict row, int columns, uint64_t* __restrict sum) {
+  for (int x = 0; x < columns; ++x) sum[x] |= row[x];
+}
+
+// The chunks of `column` as far as `spread` to the sides, where there are as many entries to spare; none
+// where `where` does not hold. Returns how many chunks all pixels of a row have whose coarse ones are `ratio`
+// wide, the last one to the end.
+SEEPAST_CLONES
+int32_t spread_out(const uint64_t* column, const uint8_t* __restrict where, int columns, int spread,
+                   int ratio, int width, uint64_t* __restrict around) {
+  for (int x = 0; x < columns; ++x) around[x] = column[x];
+  for (int i = 1; i <= spread; ++i)
+    for (int x = 0; x < columns; ++x) around[x] |= column[x - i] | column[x + i];
+  for (int x = 0; x < columns; ++x) around[x] = where[x] ? around[x] : 0;
+  const int whole = std::min(columns - 1, width / ratio);
+  int32_t sum = 0;
+  for (int x = 0; x < whole; ++x) sum += std::popcount(around[x]);
+  return sum * ratio + (width - whole * ratio) * std::popcount(around[whole]);
+}
+
+template <int ratio>
+inline void repeat(const uint64_t* __restrict coarse, int count, uint64_t* __restrict fine) {
+  for (int x = 0; x < count; ++x)
+    for (int i = 0; i < ratio; ++i) fine[ratio * x + i] = coarse[x];
+}
+
+// Every pixel `ratio` times, the last one to the end.
+void widen(const uint64_t* coarse, int columns, int ratio, int width, uint64_t* fine) {
+  const int whole = std::min(columns - 1, width / ratio);
+  if (ratio == 2)
+    repeat<2>(coarse, whole, fine);
+  else
+    for (int x = 0; x < whole; ++x) std::fill_n(fine + ratio * x, ratio, coarse[x]);
+  std::fill(fine + ratio * whole, fine + width, coarse[whole]);
+}
+
+// How many chunks there are before each pixel, `before` before the first.
+SEEPAST_CLONES
+void count_row(const uint64_t* __restrict active, int width, int32_t before, int32_t* __restrict start) {
+  for (int x = 0; x < width; ++x) {
+    start[x] = before;
+    before += std::popcount(active[x]);
+  }
+}
+
+SEEPAST_CLONES
+void add_to(const int32_t* __restrict before, int32_t more, int width, int32_t* __restrict start) {
+  for (int x = 0; x < width; ++x) start[x] = more + before[x];
 }
 
 }  // namespace
 
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active) {
-  std::vector<uint64_t> bits(static_cast<size_t>(rows) * columns);
-#pragma omp parallel for schedule(static)
-  for (int y = 0; y < rows; ++y) {
-    const size_t row = static_cast<size_t>(y) * columns;
-    row_bits(disparity + row, columns, ratio, grid, reach, bits.data() + row);
-  }
+             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
+             int32_t* start) {
+  std::vector<int32_t> in_row(rows);      // chunks of each of the fine rows of a coarse one
+  std::vector<int32_t> before(rows + 1);  // chunks of all rows before
+  const auto top = [&](int y) { return y < rows ? std::min(height, y * ratio) : height; };
 #pragma omp parallel
   {
-    std::vector<uint64_t> column(columns), around(columns);
+    Ring ring(2 * spread + 1, columns);
+    std::vector<uint64_t> column(columns + 2 * spread), around(columns);
+    int known = -1;  // the last row in the ring
 #pragma omp for schedule(static)
     for (int y = 0; y < rows; ++y) {
+      const int first = std::max(0, y - spread), last = std::min(rows - 1, y + spread);
+      for (known = std::max(known, first - 1); known < last; ++known)
+        row_bits(disparity + static_cast<size_t>(known + 1) * columns, columns, ratio, grid, reach,
+                 ring.row(known + 1));
       std::fill(column.begin(), column.end(), 0);
-      for (int j = std::max(0, y - spread); j <= std::min(rows - 1, y + spread); ++j)
-        for (int x = 0; x < columns; ++x) column[x] |= bits[static_cast<size_t>(j) * columns + x];
-      around = column;
-      for (int i = 1; i <= std::min(spread, columns - 1); ++i) {
-        for (int x = i; x < columns; ++x) around[x] |= column[x - i];
-        for (int x = 0; x < columns - i; ++x) around[x] |= column[x + i];
-      }
-      for (int x = 0; x < columns; ++x)
-        if (!where[static_cast<size_t>(y) * columns + x]) around[x] = 0;
-      const int first = y * ratio, last = y + 1 < rows ? std::min(height, first + ratio) : height;
-      for (int fine = first; fine < last; ++fine)
-        for (int x = 0; x < width; ++x)
-          active[static_cast<size_t>(fine) * width + x] = around[std::min(x / ratio, columns - 1)];
+      for (int j = first; j <= last; ++j) add_row(ring.row(j), columns, column.data() + spread);
+      in_row[y] = spread_out(column.data() + spread, where + static_cast<size_t>(y) * columns, columns,
+                             spread, ratio, width, around.data());
+      uint64_t* const out = active + static_cast<size_t>(top(y)) * width;
+      for (int fine = top(y); fine < top(y + 1); ++fine)
+        if (fine == top(y))
+          widen(around.data(), columns, ratio, width, out);
+        else
+          std::copy_n(out, width, out + static_cast<size_t>(fine - top(y)) * width);
     }
+#pragma omp single
+    for (int y = 0; y < rows; ++y) before[y + 1] = before[y] + (top(y + 1) - top(y)) * in_row[y];
+#pragma omp for schedule(static)
+    for (int y = 0; y < rows; ++y)
+      for (int fine = top(y); fine < top(y + 1); ++fine) {
+        const size_t at = static_cast<size_t>(fine) * width, first = static_cast<size_t>(top(y)) * width;
+        if (fine == top(y))
+          count_row(active + at, width, before[y], start + at);
+        else
+          add_to(start + first, (fine - top(y)) * in_row[y], width, start + at);
+      }
   }
+  start[static_cast<size_t>(height) * width] = before[rows];
 }
 
 }  // namespace seepast

@@ -30,7 +30,7 @@ def evidence_of(geometry, found, static, backend: str = "cpu") -> np.ndarray:
     stages = backends.multiview(backends.get(backend))
     d = found[geometry.reference]
     shown, _ = stages.labels(d, found, static, geometry, round(1.5 * UNITS))
-    return confidence.of_views(d, found, static, shown, geometry, stages)
+    return stages.evidence(d, found, static, shown, geometry)
 
 
 def parts(evidence: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -113,7 +113,7 @@ def views_confidence(scene: Scene, options: Options) -> tuple[np.ndarray, np.nda
     with patch.object(stages, "labels", wraps=stages.labels) as labels:
         found, _ = see_past(frame, scene.geometry, options, stages, False, Clock())
     d, disparities, static, geometry, _ = labels.call_args.args
-    evidence = confidence.of_views(d, disparities, static, found["labels"], geometry, stages)
+    evidence = stages.evidence(d, disparities, static, found["labels"], geometry)
     return confidence.probability(evidence, VIEWS), found["disparity"]
 
 

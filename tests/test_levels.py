@@ -13,7 +13,7 @@ from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, DisparityGrid
 from seepast.frames import Frame
-from seepast.levels import MOST_CHUNKS, Level, Views, enlarged, level_grid, reduced, scales
+from seepast.levels import MOST_CHUNKS, Level, Views, level_grid, reduced, scales
 from seepast.many import UNITS
 from seepast.options import MultiviewOptions
 from seepast.pipeline import Clock
@@ -23,7 +23,7 @@ SCENE = make_scene(4, (75, 33), reference=1, residual=True, masks="soft", colour
 
 def test_level_averages_colours_and_is_static_where_all_its_pixels_are():
     static = SCENE.dynamic <= 127
-    level = Level.of(SCENE.colour, static, SCENE.geometry, 2)
+    level = Level.of(SCENE.colour, static, SCENE.geometry, 2, cpu)
     assert level.colour.shape == (4, 16, 37, 3) and level.static.shape == (4, 16, 37)
     block = SCENE.colour[2, 6:8, 10:12].astype(int).sum((0, 1)) / 4
     assert np.abs(level.colour[2, 3, 5] - block).max() <= 0.5
@@ -33,7 +33,7 @@ def test_level_averages_colours_and_is_static_where_all_its_pixels_are():
 
 def test_full_size_level_is_the_views_themselves():
     static = SCENE.dynamic <= 127
-    level = Level.of(SCENE.colour, static, SCENE.geometry, 1)
+    level = Level.of(SCENE.colour, static, SCENE.geometry, 1, cpu)
     assert level.colour is SCENE.colour and level.static is static and level.geometry is SCENE.geometry
 
 
@@ -73,16 +73,16 @@ def test_grid_of_a_huge_span_still_fits_the_masks():
 
 def test_enlarged_repeats_pixels_and_continues_edges():
     views = np.arange(6, dtype=np.uint16).reshape(1, 2, 3)
-    assert np.array_equal(enlarged(views, 2, (5, 7))[0, :, 4:], [[2, 2, 2]] * 2 + [[5, 5, 5]] * 3)
-    assert enlarged(views, 1, (2, 3)) is views
+    assert np.array_equal(cpu.enlarged(views, 2, (5, 7))[0, :, 4:], [[2, 2, 2]] * 2 + [[5, 5, 5]] * 3)
+    assert cpu.enlarged(views, 1, (2, 3)) is views
 
 
 def test_views_at_a_finer_level_keep_their_depth():
     static = SCENE.dynamic <= 127
-    levels = [Level.of(SCENE.colour, static, SCENE.geometry, scale) for scale in (2, 1)]
+    levels = [Level.of(SCENE.colour, static, SCENE.geometry, scale, cpu) for scale in (2, 1)]
     shape = levels[0].static.shape
     coarse = Views(levels[0], np.full(shape, 5 * UNITS, np.uint16), np.full(shape, 20, np.uint8))
-    assert np.array_equal(coarse.at(levels[1]), np.full(static.shape, 10 * UNITS))
+    assert np.array_equal(coarse.at(levels[1], cpu), np.full(static.shape, 10 * UNITS))
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -99,7 +99,7 @@ def test_windows_of_cpu_and_reference_are_the_same(seed):
     arguments = disparity, where, ratio, grid, int(rng.integers(1, 300)), int(rng.integers(0, 6)), shape
     found, expected = cpu.windows(*arguments), reference.windows(*arguments)
     assert np.array_equal(found.active, expected.active) and np.array_equal(found.start, expected.start)
-    assert np.array_equal(found.active > 0, enlarged(where[None], ratio, shape)[0])
+    assert np.array_equal(found.active > 0, cpu.enlarged(where[None], ratio, shape)[0])
 
 
 def test_windows_hold_what_the_coarser_level_found():

@@ -68,7 +68,7 @@ class Case:
     """A scene, and random stand-ins for what earlier stages would have found."""
 
     def __init__(self, scene: Scene, steep: float = 1.0):
-        self.colour = multiview.three_channels(scene.colour)
+        self.colour = cpu.three_channels(scene.colour)
         self.static = scene.dynamic <= 127
         geometry = scene.geometry
         geometry.positions[:, 2] *= steep
@@ -111,32 +111,6 @@ def threads():
 
 
 @every_scene
-def test_describe(name):
-    c = case(name)
-    expected, found = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
-    width = c.static.shape[2]
-    inner = slice(_core.BLOCK, _core.BLOCK + width)
-    rows = np.moveaxis(found.planes, 2, 1)  # [K, planes, H, stride]
-    assert not np.delete(rows, np.r_[inner], axis=-1)[:, -2:].any()  # nothing is static beside the image
-    inside = rows[..., inner]
-    for p in range(4):
-        assert_same(expected.census[:, p], word(inside[:, 6 * p : 6 * p + 3]))
-        assert_same(np.moveaxis(expected.colour[:, p], -1, 1), inside[:, 6 * p + 3 : 6 * p + 6])
-    for p in range(2):
-        assert_same(expected.valid[:, p], word(inside[:, 24 + 4 * p : 27 + 4 * p]))
-        assert_same(expected.static[:, p], inside[:, 27 + 4 * p].astype(bool))
-    unclear = np.unpackbits(found.unclear.view(np.uint8), axis=-1, bitorder="little")[..., : rows.shape[-1]]
-    clear = (expected.valid == (1 << 24) - 1) & expected.static
-    assert_same(clear[:, :2], np.moveaxis(unclear[..., inner] == 0, 2, 1))
-    assert np.delete(unclear, np.r_[inner], axis=-1).all()
-
-
-def word(planes: np.ndarray) -> np.ndarray:
-    """Three planes of bytes [K, 3, H, W] as one of 24 bits."""
-    return (planes.astype(np.uint32) << np.array([0, 8, 16], np.uint32)[:, None, None]).sum(1, dtype=np.uint32)
-
-
-@every_scene
 @pytest.mark.parametrize("kind", KINDS)
 def test_volume(name, kind):
     c = case(name)
@@ -149,6 +123,22 @@ def test_volume(name, kind):
             )
 
 
+@every_scene
+def test_volumes(name):
+    """All views at once, rows of them here and there: what is kept of the rows before must be the right ones."""
+    c = case(name)
+    grid, rng = VOLUME_GRIDS[0], np.random.default_rng(3)
+    candidates = []
+    for k in c.some_views:
+        rows = rng.random(c.static.shape[1]) < (0.1, 0.5, 0.9)[k % 3]
+        some = np.where(rows[:, None], rng.integers(0, 1 << (grid.count // CHUNK), c.static.shape[1:]), 0)
+        candidates.append(Candidates.of(grid, some.astype(np.uint64)))
+    views = [c.views[k] for k in c.some_views]
+    found = [b.volumes(b.describe(c.colour, c.static), views, candidates, COSTS) for b in (reference, cpu)]
+    for expected, volume in zip(*found, strict=True):
+        assert_same(expected, volume)
+
+
 @pytest.mark.parametrize("chunks", [1, 5, 64])
 @pytest.mark.parametrize("shape", [(1, 1), (3, 70), (41, 13)])
 def test_chunk_starts(chunks, shape):
@@ -157,9 +147,6 @@ def test_chunk_starts(chunks, shape):
     found = Candidates.of(DisparityGrid(0, 8, CHUNK * chunks), active)
     assert_same(found.start, np.append(0, np.cumsum(bits.sum(-1))).astype(np.int32))
     assert_same(found.mask, bits.repeat(CHUNK, -1))
-    start = np.empty_like(found.start)
-    _core.chunk_starts(active, start)
-    assert_same(found.start, start)
     everything = Candidates.all(found.grid, shape)
     assert_same(everything.start, Candidates.of(found.grid, everything.active).start)
 
@@ -250,7 +237,7 @@ def test_planes(name):
 def test_blend(name):
     c = case(name)
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
-    clear = multiview.clear_of_masks(c.static)
+    clear = cpu.clear_of_masks(c.static)
     for k in c.some_views:
         near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
         given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
@@ -316,7 +303,7 @@ def test_never_seen_pixels_are_flagged():
     blind = np.zeros(scene.disparity.shape, bool)
     blind[24:36, 46:56] = True  # the wall at 12 px moves the masks by up to 12
     assert (found["coverage"][blind] == 0).all()
-    assert np.array_equal(found["coverage"], multiview.ray_count(found["labels"]))
+    assert np.array_equal(found["coverage"], cpu.ray_count(found["labels"]))
 
 
 def test_planes_straighten_slants():
@@ -333,8 +320,8 @@ def test_planes_straighten_slants():
 
 def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
-    seen = surfaces(multiview.three_channels(scene.colour), scene.geometry, options, cpu)
-    return static_span(seen, scene.dynamic <= 127, scene.geometry, options)
+    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, options, cpu)
+    return static_span(seen, scene.dynamic <= 127, scene.geometry, options, cpu)
 
 
 def test_span_of_the_static_scene():

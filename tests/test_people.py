@@ -111,7 +111,7 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     rng, shape = s.rng, (3, s.h, s.w)
     assert np.array_equal(*both(lambda b: b.witnesses(s.scene.dynamic, s.surfaces, s.geometry, 9)))
     assert (s.saw[0, ..., 1] != people.NO_SAY).any()
-    cells = people.object_cells(s.geometry, s.surfaces, OPTIONS)
+    cells = people.object_cells(s.geometry, s.surfaces, OPTIONS, cpu_people)
     (mean, sums), (mean_cpu, sums_cpu) = both(lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride))
     assert np.array_equal(mean, mean_cpu) and np.array_equal(sums, sums_cpu) and sums[1].sum() > 100
     grid = people.blurred(sums, 0.5)
@@ -226,5 +226,6 @@ def test_a_person_that_one_view_missed_is_found_there() -> None:
 
 def test_beliefs_above_zero_are_people() -> None:
     belief = np.array([[[-300, -1, 0, 1, 40, 20000]]], np.int16)
-    p = people.probability(belief, np.zeros((1, 1, 6), np.uint8), PeopleOptions(grow=False))[0, 0]
+    table = people.probabilities(PeopleOptions())
+    p = cpu_people.probability(belief, np.zeros((1, 1, 6), np.uint8), table, grow=False)[0, 0]
     assert (p[:3] < 127).all() and (p[3:] > 127).all() and (np.diff(p.astype(int)) >= 0).all()

@@ -427,3 +427,14 @@ def test_a_range_with_nothing_in_it_is_refused():
 def test_the_person_is_nearer_than_the_wall():
     assert NEAR > FAR
     assert PERSON < WALL
+
+
+def test_masks_that_nobody_refines_come_back_as_they_went_in():
+    rng, rig = np.random.default_rng(5), crooked_rig(3)
+    images = [rng.integers(0, 256, (*RAW_SIZE[::-1], 3), np.uint8) for _ in rig.cameras]
+    masks = [cv2.GaussianBlur(rng.integers(0, 256, RAW_SIZE[::-1], np.uint8), (0, 0), 3) for _ in rig.cameras]
+    options = Options.preset("fast").updated({"range.max_disparity": 40, "people.enabled": False})
+    found = reconstruct(images, masks, rig, options=options)
+    for given, returned in zip(masks, found.masks, strict=True):
+        np.testing.assert_array_equal(returned, given)
+        assert not np.may_share_memory(returned, given)

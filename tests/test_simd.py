@@ -27,6 +27,7 @@ ROOT = Path(__file__).parents[1]
 BUILDS = ROOT / "build" / "replay"
 PRESETS = ("paper", "accurate", "fast")
 LEVELS = ("baseline", "AVX2", "AVX-512")
+LENS = (-0.05, 0.01, 0.0, 0.0)
 CROSS = (
     "-DCMAKE_CXX_COMPILER=aarch64-linux-gnu-g++",
     "-DCMAKE_SYSTEM_NAME=Linux",
@@ -35,13 +36,15 @@ CROSS = (
 
 
 def crooked(rig: Rig) -> Rig:
-    """The rig with its cameras off their line, so that views are enlarged and shifted down by disparity."""
+    """The rig with its cameras off their line, so that views are enlarged and shifted down by disparity; and seen
+    through lenses, so that they must be rectified."""
     rng = np.random.default_rng(1)
     cameras = list(rig.cameras)
     for k in range(1, len(cameras)):
         pose = cameras[k].cam_from_rig.copy()
         pose[1:3, 3] += rng.uniform(-0.02, 0.02, 2)
         cameras[k] = replace(cameras[k], cam_from_rig=pose)
+    cameras = [replace(camera, distortion="radtan", distortion_coeffs=LENS) for camera in cameras]
     return replace(rig, cameras=tuple(cameras))
 
 

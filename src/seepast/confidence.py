@@ -21,12 +21,10 @@ and left out: what it says about synthetic scenes is wrong for real ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import ModuleType
 
 import cv2
 import numpy as np
 
-from .geometry import ArrayGeometry
 from .many import UNITS
 from .options import Options
 
@@ -52,24 +50,15 @@ class Calibration:
         return p.astype(np.float32).ravel()
 
 
-def of_views(
-    d: np.ndarray,
-    disparities: np.ndarray,
-    static: np.ndarray,
-    shown: np.ndarray,
-    geometry: ArrayGeometry,
-    backend: ModuleType,
-) -> np.ndarray:
+def of_views(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.ndarray) -> np.ndarray:
     """Evidence of the many-view method: uint8 [H, W].
 
-    d            uint16 [H, W], the wanted view's final disparity in 32nds of a pixel over the array
-    disparities  uint16 [K, H, W], every view's; static bool [K, H, W]: nobody in front
-    shown        uint16 [H, W], which rays show the surface (`labels`): bit k = ray k
-    backend      the many-view stages (backends.multiview), for `witnesses`
+    d       uint16 [H, W], the wanted view's final disparity in 32nds of a pixel over the array
+    static  bool [H, W]: nobody in front, in the wanted view
+    close   uint8 [H, W], the other views that confirm it within CLOSE (`witnesses`)
+    shown   uint16 [H, W], which rays show the surface (`labels`): bit k = ray k
     """
-    r = geometry.reference
-    close, _ = backend.witnesses(d, disparities, static, geometry, r, CLOSE)
-    own = static[r].view(np.uint8)
+    own = static.view(np.uint8)
     return packed(own, close, cv2.subtract(ray_count(shown), cv2.add(own, close)), d)
 
 

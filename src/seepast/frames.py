@@ -88,56 +88,55 @@ def rectified_frame(
     interpolation: str = "cubic",
     threads: int = 0,
     out: Frame | None = None,
+    *,
+    grey: bool = True,
 ) -> Frame:
     """Stage "rectify": all cameras' images and masks in the common orientation and intrinsics.
 
     interpolation as of `Rectification.image`; threads 0 = all cores, and the result does not depend on it. `out`, a
     frame that nobody needs any more, is written to and returned if it has the right shape: fresh memory takes longer
-    to get than to fill.
+    to get than to fill. Without `grey` that of colour views is not set, for methods that do not look at it.
     """
     K, (width, height), channels = len(images), rectification.geometry.size, images[0].shape[2:] or (1,)
     if out is None or out.colour.shape != (K, height, width, *channels):
         colour = np.empty((K, height, width, *channels), np.uint8)
-        grey = colour[..., 0] if channels == (1,) else np.empty((K, height, width), np.uint8)
-        out = Frame(colour, grey, np.empty((K, height, width), np.uint8))
+        only = colour[..., 0] if channels == (1,) else np.empty((K, height, width), np.uint8)
+        out = Frame(colour, only, np.empty((K, height, width), np.uint8))
     frame = out
     images, masks = [np.ascontiguousarray(i) for i in images], [np.ascontiguousarray(m) for m in masks]
+    said = [mask if cv2.countNonZero(mask) else None for mask in masks]
+    work = [(k, rows) for k in range(K) for rows in _strips(width, height)]
 
-    def view(k: int) -> None:
-        bent = not rectification.passes_through(k)
-        if channels == (3,) and bent and interpolation == "linear" and cv2.countNonZero(masks[k]):
-            _together(rectification, k, images[k], masks[k], frame)
-        else:
-            _one_by_one(rectification, k, images[k], masks[k], interpolation, frame)
+    def views(number: int) -> None:
+        k, rows = work[number]
+        _rectified(rectification, k, rows, images[k], said[k], interpolation, frame)
+        if grey and channels == (3,):
+            cv2.cvtColor(frame.colour[k, rows], cv2.COLOR_BGR2GRAY, dst=frame.grey[k, rows])
 
-    on_threads(view, K, threads)
+    on_threads(views, len(work), threads)
     return frame
 
 
-def _one_by_one(
-    rectification: Rectification, k: int, image: np.ndarray, mask: np.ndarray, interpolation: str, frame: Frame
+def _rectified(
+    rectification: Rectification,
+    k: int,
+    rows: slice,
+    image: np.ndarray,
+    mask: np.ndarray | None,
+    interpolation: str,
+    frame: Frame,
 ) -> None:
-    colour = frame.grey if frame.colour.shape[3] == 1 else frame.colour
-    for rows in _strips(*rectification.geometry.size):
-        if rectification.passes_through(k):
-            colour[k, rows] = image[rows]
-        else:
-            rectification.image(k, image, interpolation, colour[k, rows], rows)
-        if colour is frame.colour:
-            cv2.cvtColor(colour[k, rows], cv2.COLOR_BGR2GRAY, dst=frame.grey[k, rows])
-        rectification.dynamic(k, mask, frame.dynamic[k, rows], rows)
-
-
-def _together(rectification: Rectification, k: int, image: np.ndarray, mask: np.ndarray, frame: Frame) -> None:
-    """The same with the mask as a fourth channel: maps are read and corners weighed once. A third faster."""
-    mixed = cv2.cvtColor(image, cv2.COLOR_BGR2BGRA)
-    cv2.insertChannel(mask, mixed, 3)
-    for rows in _strips(*rectification.geometry.size):
-        view, dynamic = rectification.image(k, mixed, "linear", rows=rows), frame.dynamic[k, rows]
-        cv2.cvtColor(view, cv2.COLOR_BGRA2BGR, dst=frame.colour[k, rows])
-        cv2.cvtColor(view, cv2.COLOR_BGRA2GRAY, dst=frame.grey[k, rows])
-        cv2.extractChannel(view, 3, dst=dynamic)
-        rectification.mark(k, dynamic, rows)
+    """These rows of camera k's colour and dynamic; mask None: nothing moves."""
+    colour = (frame.grey if image.ndim == 2 else frame.colour)[k, rows]
+    dynamic = frame.dynamic[k, rows]
+    if rectification.passes_through(k):
+        colour[...] = image[rows]
+    elif mask is not None and image.ndim == 3 and interpolation == "linear":
+        rectification.together(k, image, mask, colour, dynamic, rows)
+        return
+    else:
+        rectification.image(k, image, interpolation, colour, rows)
+    rectification.dynamic(k, mask, dynamic, rows)
 
 
 def input_masks(
@@ -146,16 +145,24 @@ def input_masks(
     """Refined P(dynamic) of the rectified views, uint8 [K, H, W] in 254ths, as K masks uint8 [h, w] of 255 * P in the
     cameras' own pixels; `masks` are what came in."""
 
-    def view(k: int) -> np.ndarray:
-        refined, mask = to_bytes(dynamic[k]), np.ascontiguousarray(masks[k])
-        if rectification.passes_through(k):
-            return refined
-        found = np.empty_like(mask)
-        for rows in _strips(*mask.shape[::-1]):
-            rectification.masks_to_input(k, refined, mask, found[rows], rows)
-        return found
+    masks = [np.ascontiguousarray(mask) for mask in masks]
 
-    return tuple(on_threads(view, len(masks), threads))
+    def in_bytes(k: int) -> np.ndarray:
+        if not rectification.passes_through(k):
+            rectification.to_input(k)  # the maps, at the first frame
+        return to_bytes(dynamic[k])
+
+    refined = on_threads(in_bytes, len(masks), threads)
+    bent = [k for k in range(len(masks)) if not rectification.passes_through(k)]
+    found = [np.empty_like(masks[k]) if k in bent else refined[k] for k in range(len(masks))]
+    work = [(k, rows) for k in bent for rows in _strips(*masks[k].shape[::-1])]
+
+    def views(number: int) -> None:
+        k, rows = work[number]
+        rectification.masks_to_input(k, refined[k], masks[k], found[k][rows], rows)
+
+    on_threads(views, len(work), threads)
+    return tuple(found)
 
 
 def _strips(width: int, height: int) -> Iterator[slice]:

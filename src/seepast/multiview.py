@@ -7,19 +7,18 @@ per stage, in order, of the backend's many-view module (backends.multiview).
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from . import backends, confidence
 from .candidates import Candidates, DisparityGrid
-from .confidence import ray_count
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import Level, Views, beside, enlarged, landings, level_grid, scales
+from .levels import Level, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
@@ -42,24 +41,25 @@ def see_past(
     Symbols: x pixel of view r, x^k = W_k(x, d) its ray in camera k, D_k camera k's disparity, c_k its confidence.
     """
     o, r = options.multiview, geometry.reference
-    colour = three_channels(frame.colour)
+    colour = backend.three_channels(frame.colour)
 
     with clock("surfaces"):  # what every camera sees, people included, at a coarse look
         seen = surfaces(colour, geometry, options, backend)
     dynamic = frame.dynamic
     if options.people.enabled:
+        people = backends.people(backend)
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
-            if not trusted(frame.dynamic, seen, geometry, options.people, backends.people(backend)):
-                whole = seen.at_full_size(dynamic.shape[1:])
-                dynamic = refine_people(frame, whole, geometry, options.people, backends.people(backend))
+            if not trusted(frame.dynamic, seen, geometry, options.people, people):
+                whole = seen.at_full_size(dynamic.shape[1:], backend)
+                dynamic = refine_people(frame, whole, geometry, options.people, people)
     static = dynamic <= 254 * (1 - o.threshold)
     with clock("range"):  # candidates: between what the static surfaces span
-        span = static_span(seen, static, geometry, options)
+        span = static_span(seen, static, geometry, options, backend)
 
     found: Views | None = None
     for scale in scales(geometry, o):  # coarse to fine: each level looks around what the one before it found
         with clock("describe"):
-            level = Level.of(colour, static, geometry, scale)
+            level = Level.of(colour, static, geometry, scale, backend)
         found = at_level(level, span, found, dynamic_only, options, backend, clock)
     assert found is not None
     d = found.disparity[r]
@@ -71,8 +71,8 @@ def see_past(
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
-        evidence = confidence.of_views(d, found.disparity, static, shown, geometry, backend)
-        sure = confidence.probability(evidence, confidence.calibration(options))
+        evidence = backend.evidence(d, found.disparity, static, shown, geometry)
+        sure = backend.probability(evidence, confidence.calibration(options).table)
     disparity = d.astype(np.float32) / np.float32(UNITS)
     if dynamic_only:  # the rest keeps its own ray, and no disparity
         shown = np.where(keep, np.uint16(1 << r), shown)
@@ -81,15 +81,10 @@ def see_past(
         "background": background[..., : frame.colour.shape[-1]],
         "disparity": disparity,
         "confidence": sure,
-        "coverage": ray_count(shown),
+        "coverage": backend.ray_count(shown),
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
-
-
-def three_channels(colour: np.ndarray) -> np.ndarray:
-    """Grey views as BGR: uint8 [K, H, W, C] -> [K, H, W, 3], contiguous."""
-    return np.ascontiguousarray(np.broadcast_to(colour, (*colour.shape[:-1], 3)))
 
 
 def agreement(o: MultiviewOptions) -> int:
@@ -116,33 +111,34 @@ def at_level(
     colour, static, views = level.colour, level.static, level.views
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
-        hides = None if before is None else around_people(before, o.around)
-        area = asked_for(hides, level, o, dynamic_only)
-        candidates = [around(before, area, k, level, grid, o, backend) for k in range(K)]
-        found = np.zeros(static.shape, np.uint16) if before is None else before.at(level)
+        hides = None if before is None else around_people(before, o.around, backend)
+        area = asked_for(hides, before, o, dynamic_only, backend)
+        everywhere = area is None or bool(area.all())
+        candidates = around(before, area, level, grid, o, backend)
+        found = np.zeros_like(static, np.uint16) if before is None else before.at(level, backend)
         matched = [k for k in range(K) if candidates[k].chunks]
     with clock("describe"):  # census and colour at quarter-pixel phases
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
-        costs = {k: backend.volume(features, views[k], candidates[k], PairCosts.of(o)) for k in matched}
+        of_matched = backend.volumes(
+            features, [views[k] for k in matched], [candidates[k] for k in matched], PairCosts.of(o)
+        )
+        costs = dict(zip(matched, of_matched, strict=True))
         del features  # a fifth of the memory
-
-    seen = Views(level, found, np.zeros(static.shape, np.uint8))
-    for once_more in range(o.rounds):
-        better = seen.disparity.copy()
-        for k in matched:
-            energy, polled = costs[k], candidates[k]
-            if once_more:  # with what the others saw; the other views are heard on what is hidden only
-                with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
-                    if before is not None and hides is not None and k != r:
-                        polled = polled.where(finer(hides[k], before, level))
-                    energy = voted(energy, polled, k, seen, views[k], VoteWeights.of(o), backend)
-            with clock("aggregate"):  # D_k = argmin of E_k smoothed along 8 paths
-                kept = seen.disparity[k]
-                better[k] = backend.aggregate(energy, colour[k], static[k], polled, first, o.paths, kept)
+    with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
+        # where views are matched around people only, the coarser level told the others all that this one knows
+        voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
+        better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
+    seen = confirmed(better, level, o, backend, clock)
+    for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
+        with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
+            polled = candidates if hides is None else asked_on(hides, before, level, candidates, backend)
+            energies = voted(costs, polled, seen, VoteWeights.of(o), backend)
+        with clock("aggregate"):
+            of_matched = timed(energies, clock, "votes")
+            better = smoothed(seen.disparity, level, matched, of_matched, polled, first, o, backend)
         seen = confirmed(better, level, o, backend, clock)
     if r in matched:
-        everywhere = area is None or bool(area.all())
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=everywhere)
         smooth = final if everywhere else first
@@ -150,18 +146,53 @@ def at_level(
     return seen
 
 
-def voted(
-    costs: np.ndarray,
-    candidates: Candidates,
-    k: int,
-    seen: Views,
-    view: ArrayGeometry,
-    weights: VoteWeights,
+def smoothed(
+    found: np.ndarray,
+    level: Level,
+    matched: list[int],
+    costs: Iterable[np.ndarray],
+    candidates: list[Candidates],
+    penalties: Penalties,
+    o: MultiviewOptions,
     backend: ModuleType,
 ) -> np.ndarray:
-    """Energies of view k by its costs and the other views' votes."""
-    static = seen.level.static[k]
-    return backend.votes(costs, seen.disparity, seen.confidence, static, view, candidates, k, weights)
+    """uint16 [K, h, w]: the `matched` views by their `costs`, where they have candidates; `found` elsewhere."""
+    if not matched:
+        return found
+    colour, static, polled, kept = ([of[k] for k in matched] for of in (level.colour, level.static, candidates, found))
+    better = backend.aggregates(costs, colour, static, polled, penalties, o.paths, kept)
+    if len(matched) == len(found):
+        return better
+    whole = found.copy()
+    for k, view in zip(matched, better, strict=True):
+        whole[k] = view
+    return whole
+
+
+def voted(
+    costs: dict[int, np.ndarray],
+    candidates: list[Candidates],
+    seen: Views,
+    weights: VoteWeights,
+    backend: ModuleType,
+) -> Iterable[np.ndarray]:
+    """Energies of the views by their costs and the other views' votes."""
+    views, matched = seen.level.views, list(costs)
+    static, geometry, polled = ([of[k] for k in matched] for of in (seen.level.static, views, candidates))
+    return backend.votes_of_views(
+        list(costs.values()), seen.disparity, seen.confidence, static, geometry, polled, matched, weights
+    )
+
+
+def timed(made: Iterable[np.ndarray], clock: Clock, stage: str) -> Iterator[np.ndarray]:
+    """The same, with the time that making them takes counted for `stage`."""
+    making = iter(made)
+    while True:
+        with clock(stage):
+            one = next(making, None)
+        if one is None:
+            return
+        yield one
 
 
 def wanted_view(
@@ -188,48 +219,57 @@ def wanted_view(
     return d
 
 
-def around_people(found: Views, reach: int) -> np.ndarray:
+def around_people(found: Views, reach: int, backend: ModuleType) -> np.ndarray:
     """Where what people hide from the wanted view lies in every view, and `reach` px (of full size) around:
     bool [K, h, w]."""
     level = found.level
     r = level.geometry.reference
     d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
-    return beside(landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
+    return backend.beside(backend.landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
 
 
-def asked_for(hides: np.ndarray | None, level: Level, o: MultiviewOptions, dynamic_only: bool) -> np.ndarray | None:
+def asked_for(
+    hides: np.ndarray | None, before: Views | None, o: MultiviewOptions, dynamic_only: bool, backend: ModuleType
+) -> np.ndarray | None:
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
-    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one; with
-    dynamic_only that one too.
+    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
+    only at what they see themselves, as far as a coarse pixel tells; with dynamic_only that one too.
     """
-    if hides is None:
+    if hides is None or before is None:
         return None
+    r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
-    area[level.geometry.reference] |= not dynamic_only
+    if not o.fine_views:
+        area &= backend.beside(before.level.static, 1)
+    area[r] = hides[r] if dynamic_only else True
     return area
 
 
-def finer(area: np.ndarray, before: Views, level: Level) -> np.ndarray:
-    """bool [h, w] of the coarser level in the pixels of this one."""
-    return enlarged(area[None], before.level.scale // level.scale, level.static.shape[1:])[0]
+def asked_on(
+    hides: np.ndarray, before: Views | None, level: Level, candidates: list[Candidates], backend: ModuleType
+) -> list[Candidates]:
+    """The other views' candidates on what people hide from the wanted one, bool [K, h, w] of the coarser level."""
+    assert before is not None
+    there = backend.enlarged(hides, before.level.scale // level.scale, level.static.shape[1:])
+    r = level.geometry.reference
+    return [own if k == r else own.where(there[k]) for k, own in enumerate(candidates)]
 
 
 def around(
     before: Views | None,
     area: np.ndarray | None,
-    k: int,
     level: Level,
     grid: DisparityGrid,
     o: MultiviewOptions,
     backend: ModuleType,
-) -> Candidates:
-    """What camera k's view is matched at: within `area` around what the coarser level found; at first everything."""
-    shape = level.static.shape[1:]
+) -> list[Candidates]:
+    """What every view is matched at: within `area` around what the coarser level found; at first everything."""
+    K, *shape = level.static.shape
     if before is None or area is None:
-        return Candidates.all(grid, shape)
+        return [backend.everything(grid, tuple(shape))] * K
     ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
-    return backend.windows(before.disparity[k], area[k], ratio, grid, reach, o.spread, shape)
+    return backend.windows_of_views(before.disparity, area, ratio, grid, reach, o.spread, tuple(shape))
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
@@ -242,19 +282,14 @@ def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
 
 def confirmed(found: np.ndarray, level: Level, o: MultiviewOptions, backend: ModuleType, clock: Clock) -> Views:
     """Every view's disparities, uint16 [K, h, w], with unconfirmed ones put on planes; and their confidence."""
-    colour, static = level.colour, level.static
-    confidence, completed = np.empty(found.shape, np.uint8), np.empty_like(found)
-    for k, view in enumerate(level.views):
-        with clock("confidence"):  # 1 where another view agrees, little where one sees farther
-            agree, farther = backend.witnesses(found[k], found, static, view, k, agreement(o))
-            doubtful, lone = round(20 * o.doubtful_confidence), round(20 * o.lone_confidence)
-            confidence[k] = backend.confidence_of(agree, farther, static[k], lone, doubtful)
+    with clock("confidence"):  # 1 where another view agrees, little where one sees farther
+        agree, farther = backend.witnesses_of_views(found, level.static, level.views, agreement(o))
+        doubtful, lone = round(20 * o.doubtful_confidence), round(20 * o.lone_confidence)
+        confidence = backend.confidence_of(agree, farther, level.static, lone, doubtful)
+    if o.planes:
         with clock("planes"):  # least squares through the confirmed pixels around
-            sure = agree > 0
-            completed[k] = (
-                backend.planes(found[k], sure & static[k], ~sure, colour[k], static[k]) if o.planes else found[k]
-            )
-    return Views(level, completed, confidence)
+            found = backend.planes_of_views(found, agree, level.colour, level.static)
+    return Views(level, found, confidence)
 
 
 # ------------------------------------------------------------------------------------------------- picture
@@ -280,7 +315,7 @@ def picture(
     background = backend.blend(
         colour,
         rays,
-        clear_of_masks(static),
+        backend.clear_of_masks(static),
         camera_weights(geometry, options.multiview),
         options.multiview.edge_weight,
         geometry,
@@ -291,12 +326,6 @@ def picture(
     if not seen.all():
         background = backend.fill_unseen(background, seen, d.astype(np.float32) / np.float32(UNITS))
     return background
-
-
-def clear_of_masks(static: np.ndarray) -> np.ndarray:
-    """bool [K, H, W]: pixels within 2 px of a mask may hold some of the person's colour, and count little."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    return np.stack([cv2.erode(view.view(np.uint8), disc, borderValue=1) for view in static]).view(bool)
 
 
 def camera_weights(geometry: ArrayGeometry, o: MultiviewOptions) -> np.ndarray:

@@ -91,7 +91,7 @@ def refine_people(
     Masks that agree with one another on nearly every surface point are exact already, and come back as they are.
     """
     saw = backend.witnesses(frame.dynamic, surfaces, geometry, options.same_surface)
-    if disagreement(saw[:, ::SPARSE, ::SPARSE]) <= options.trusted:
+    if backend.disagreement(saw, SPARSE) <= options.trusted:
         return frame.dynamic
     stride = max(1, round(geometry.size[0] / options.working_width))
     region = object_region(saw, surfaces, geometry, stride, options, backend)
@@ -102,18 +102,18 @@ def refine_people(
     for step in (stride, 1):  # learnt from the objects' region, then once more from the outline that this gave
         levels, colours = backend.histograms(frame.dynamic, frame.colour, person, stride)
         said = backend.log_odds(saw, reliability(levels), step)
-        sure = sure_labels(region, said if step == stride else lattice(said, stride), options)
+        sure = backend.sure_labels(region, said if step == stride else lattice(said, stride), options)
         linear = local_label(backend.colour_moments(frame.colour, sure, stride, BLOCK), options)
         terms = Terms(sure_terms(options), options.said, options.local, options.colour * colour_ratio(colours, options))
-        u = np.empty(said.shape, np.int16)
+        u = np.empty_like(said, np.int16)
         for k in range(geometry.cameras):
-            label = upsampled(linear[k], BLOCK * stride, frame.dynamic.shape[1:])
+            label = backend.upsampled(linear[k], BLOCK * stride, frame.dynamic.shape[1:])
             u[k] = backend.potential(
                 said[k], frame.dynamic[k], frame.colour[k], label, sure[k], terms, step, stride // step
             )
         belief = backend.field(u, frame.colour, surfaces, costs, step)
         person = (belief > 0).astype(np.uint8)
-    return probability(belief, frame.dynamic, options)
+    return backend.probability(belief, frame.dynamic, probabilities(options), options.grow)
 
 
 def lattice(plane: np.ndarray, stride: int) -> np.ndarray:
@@ -135,26 +135,10 @@ def trusted(
         return False
     small = reduced(geometry, seen.scale)
     height, width = seen.disparity.shape[1:]
-    there = np.ascontiguousarray(lattice(dynamic, seen.scale)[:, :height, :width])
+    there = lattice(dynamic, seen.scale)[:, :height, :width].copy()
     surfaces = seen.disparity.astype(np.float32) / np.float32(UNITS)
     saw = backend.witnesses(there, surfaces, small, options.same_surface / seen.scale)
-    return disagreement(saw[:, :: max(1, SPARSE // seen.scale), :: max(1, SPARSE // seen.scale)]) <= options.trusted
-
-
-def disagreement(saw: np.ndarray) -> float:
-    """How far the views' masks differ on common surface points: sum |P_k - P_j| / sum max(P_k, P_j), in 0..1.
-
-    Exact masks differ only where a surface is wrong, by some per cent; 0 where nobody says anything.
-    """
-    low = high = 0
-    for k in range(len(saw)):
-        own = saw[k, ..., k]
-        for j in range(len(saw)):
-            if j != k:
-                both = (own != NO_SAY) & (saw[k, ..., j] != NO_SAY)
-                low += int(np.minimum(own, saw[k, ..., j])[both].sum(dtype=np.int64))
-                high += int(np.maximum(own, saw[k, ..., j])[both].sum(dtype=np.int64))
-    return 1 - low / high if high else 0.0
+    return backend.disagreement(saw, max(1, SPARSE // seen.scale)) <= options.trusted
 
 
 def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarray | None:
@@ -163,31 +147,31 @@ def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarr
     An object is a cell of place and disparity. Its share of P is sum / count of pooled P over all views, normalised
     so that the share of which a fifth of all P lies above is 1: people differ in how well a network knows them.
     """
-    cells = object_cells(geometry, surfaces, options)
+    cells = object_cells(geometry, surfaces, options, backend)
     mean, sums = backend.object_grid(saw, surfaces, geometry, cells, stride)
     share = backend.object_slice(blurred(sums, options.cell_blur), mean, surfaces, geometry, cells, stride)
-    known = share != UNKNOWN
-    some = np.s_[:, ::2, ::2]  # a sample says enough
-    top = weighted_percentile(share[some][known[some]], mean[some][known[some]], 0.8)
+    top = weighted_percentile(backend.share_histograms(share, mean, 2), 0.8)  # a sample says enough
+    shares = backend.share_histograms(share, mean, 1)
     one = SHARE * max(top, options.least_share)
     thresholds = np.round(one * np.arange(0.3, 0.905, 0.05)).astype(np.int32)
     counts = backend.border_counts(share, mean, surfaces, thresholds, options.depth_step, stride)
-    best = border_threshold(counts, int(mean[known].sum(dtype=np.int64)))
-    level = thresholds[best] if best is not None else one * valley(share[known] / one)
-    region = known & (share > level)
+    best = border_threshold(counts, int(shares[1].sum()))
+    level = thresholds[best] if best is not None else one * valley(shares[0], one)
+    region = (share != UNKNOWN) & (share > level)
     return region.astype(np.uint8) if region.mean() >= options.least_area else None
 
 
-def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleOptions) -> Cells:
+def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleOptions, backend: ModuleType) -> Cells:
     """Cells of a share of the view: people are that big. x reaches one view to either side, where others look.
 
     In disparity a share of the nearest surface's (99th percentile): as thick in depth whatever the array.
     """
     width, height = geometry.size
-    nearest = max(float(np.percentile(surfaces[:, ::8, ::8], 99)), 1.0)
+    most, farthest = backend.surface_range(surfaces)
+    nearest = max(most, 1.0)
     size = (options.cell_disparity * nearest, options.cell_height * height, options.cell_width * width)
     low = (0.0, 0.0, -1.0 * width)
-    reach = (min(float(surfaces.max()), 2 * nearest), height, 3 * width)
+    reach = (min(farthest, 2 * nearest), height, 3 * width)
     count = tuple(int(r / s) + 3 for r, s in zip(reach, size, strict=True))
     return Cells(low, size, count)  # type: ignore[arg-type]
 
@@ -206,10 +190,11 @@ def blurred(sums: np.ndarray, sigma: float) -> np.ndarray:
     return grid.astype(np.float32)
 
 
-def weighted_percentile(share: np.ndarray, weight: np.ndarray, q: float) -> float:
-    """The share (0..1) below which q of all weight lies; 0 without weight."""
-    total = np.bincount(share, weight, SHARE + 1).cumsum()
-    return float(np.searchsorted(total, q * total[-1])) / SHARE if len(share) else 0.0
+def weighted_percentile(shares: np.ndarray, q: float) -> float:
+    """The share (0..1) below which q of all pooled P lies, by `share_histograms`; 0 without any."""
+    counts, weights = shares
+    total = weights.cumsum()
+    return float(np.searchsorted(total, q * total[-1])) / SHARE if counts.any() else 0.0
 
 
 def border_threshold(counts: np.ndarray, total: int) -> int | None:
@@ -224,9 +209,12 @@ def border_threshold(counts: np.ndarray, total: int) -> int | None:
     return int(np.argmax(B * (recall * precision) ** 0.25)) if B.max() > 0.75 else None
 
 
-def valley(share: np.ndarray) -> float:
-    """Where few pixels have that share, near 0.7: argmin log(histogram + 1) + 4 (t - 0.7)^2 over 0.35 .. 0.9."""
-    histogram, edges = np.histogram(share, bins=65, range=(0, 1.3))
+def valley(counts: np.ndarray, one: float) -> float:
+    """Where few pixels have that share t, near 0.7: argmin log(histogram + 1) + 4 (t - 0.7)^2 over 0.35 .. 0.9.
+
+    counts [SHARE + 1], where t = 1 is at `one`.
+    """
+    histogram, edges = np.histogram(np.arange(len(counts)) / one, bins=65, range=(0, 1.3), weights=counts)
     smooth = cv2.GaussianBlur(histogram.astype(np.float32)[None], (0, 0), 2)[0]
     middle = (edges[1:] + edges[:-1]) / 2
     score = np.log(smooth + 1) + 4 * (middle - 0.7) ** 2
@@ -264,20 +252,6 @@ def colour_ratio(colours: np.ndarray, options: PeopleOptions) -> np.ndarray:
     share = np.maximum(bins.sum((1, 2, 3)), 1)[:, None] / max(bins.sum(), 1)
     p = (bins.reshape(2, -1) + options.colour_doubt * share) / share
     return np.log(p[1] / p[0]).clip(-MAX_RATIO, MAX_RATIO).astype(np.float32)
-
-
-def sure_labels(region: np.ndarray, said: np.ndarray, options: PeopleOptions) -> np.ndarray:
-    """int8 [K, h, w] on the lattice: 1 deep inside the region where the cameras' P says so too, -1 well outside."""
-    inner, outer = (disc(r) for r in (options.inner, options.outer))
-    out = np.zeros(region.shape, np.int8)
-    for k, view in enumerate(region):
-        out[k][(cv2.erode(view, inner) > 0) & (said[k] > np.float32(options.sure_said))] = 1
-        out[k][cv2.dilate(view, outer) == 0] = -1
-    return out
-
-
-def disc(radius: int) -> np.ndarray:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
 
 
 def sure_terms(options: PeopleOptions) -> np.ndarray:
@@ -330,14 +304,6 @@ def boxed(planes: np.ndarray, window: int) -> np.ndarray:
     return planes
 
 
-def upsampled(blocks: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarray:
-    """One value per size x size pixels -> per pixel, linear between their centres: float32 [H, W, n]."""
-    whole = cv2.resize(blocks, (blocks.shape[1] * size, blocks.shape[0] * size), interpolation=cv2.INTER_LINEAR)
-    missing = [(0, max(0, n - m)) for n, m in zip(shape, whole.shape, strict=False)]
-    whole = np.pad(whole, [*missing, (0, 0)], "edge") if np.any(missing) else whole
-    return np.ascontiguousarray(whole[: shape[0], : shape[1]])
-
-
 # ------------------------------------------------------------------------------------------------ the outline
 
 
@@ -350,15 +316,10 @@ def field_costs(channels: int, options: PeopleOptions) -> FieldCosts:
     )
 
 
-def probability(belief: np.ndarray, dynamic: np.ndarray, options: PeopleOptions) -> np.ndarray:
-    """P = 1 / (1 + exp(-b / scale)) of the largest belief b next to a pixel (true masks contain the mixed pixels of an
-    outline), in 254ths: uint8 [K, H, W]."""
-    quarters = np.arange(-128, 128) + 0.5  # of a nat, the middle of each: P > 1/2 exactly where b > 0
-    table = np.round(254 / (1 + np.exp(-quarters / 4 / options.belief_scale))).astype(np.uint8)
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    out = np.empty_like(dynamic)
-    for k, view in enumerate(belief):
-        quarter = np.clip((view - 1) >> 6, -128, 127).astype(np.int8).view(np.uint8) ^ 128
-        p = cv2.LUT(quarter, table)
-        out[k] = np.where(dynamic[k] == NO_RAY, np.uint8(NO_RAY), cv2.dilate(p, cross) if options.grow else p)
-    return out
+def probabilities(options: PeopleOptions) -> np.ndarray:
+    """P = 1 / (1 + exp(-b / scale)) of beliefs b in quarters of a nat from -128 on, in 254ths: uint8 [256].
+
+    A pixel has that of the largest belief next to it (`grow`): true masks contain the mixed pixels of an outline.
+    """
+    quarters = np.arange(-128, 128) + 0.5  # the middle of each: P > 1/2 exactly where b > 0
+    return np.round(254 / (1 + np.exp(-quarters / 4 / options.belief_scale))).astype(np.uint8)

@@ -19,7 +19,7 @@ from . import backends, confidence, multiview
 from .ahead import ahead
 from .candidates import EIGHTHS, DisparityGrid
 from .evidence import UNCHANGED
-from .frames import Frame, check_frame, input_masks, rectified_frame
+from .frames import Frame, check_frame
 from .geometry import ArrayGeometry
 from .options import DEFAULT_PRESET, Options
 from .rectify import rectify
@@ -56,7 +56,7 @@ def see_past(
     initial = static = frame.dynamic <= 254 * (1 - options.segmentation.threshold)
 
     # What is estimated: every reference pixel, or those that it does not see itself
-    wanted = ~static[geometry.reference] if dynamic_only else np.ones(static.shape[1:], bool)
+    wanted = ~static[geometry.reference] if dynamic_only else np.ones_like(static[0])
 
     with clock("describe"):  # f(x): 3x3 Sobel responses, sampled 16 times around the pixel
         features = backend.describe(frame.grey)
@@ -68,8 +68,8 @@ def see_past(
 
     # EM until the labels stand still; after the first round only what changed is done again, which gives the same.
     redo, changed, rounds, still = wanted, np.zeros_like(static), 0, False
-    raw, d = np.zeros(wanted.shape, np.float32), np.full(wanted.shape, -1, np.float32)
-    labels, posterior = np.zeros(wanted.shape, np.uint16), np.full_like(frame.dynamic, UNCHANGED)
+    raw, d = np.zeros_like(wanted, np.float32), np.full_like(wanted, -1, np.float32)
+    labels, posterior = np.zeros_like(wanted, np.uint16), np.full_like(frame.dynamic, UNCHANGED)
     while not still and rounds < options.segmentation.max_rounds:
         with clock("disparity"):  # M-step: argmin_d beta Var_S(f(x^1) .. f(x^K)) - log p(d|T,x)
             if rounds:
@@ -97,7 +97,7 @@ def see_past(
         surface = np.where(wanted, d, prior.mean.astype(np.float32) / EIGHTHS)  # around the rest, to fill from
         background, coverage = backend.refocus(frame.colour, labels, geometry, surface, kept, options.refocus)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
-        sure = confidence.probability(confidence.of_labels(d, labels, geometry.reference), confidence.PAPER)
+        sure = backend.probability(backend.evidence(d, labels, geometry.reference), confidence.PAPER.table)
     if dynamic_only:
         sure[~wanted] = 0
     return {
@@ -111,16 +111,19 @@ def see_past(
 
 
 class Clock:
-    """Milliseconds per stage, added up over the rounds."""
+    """Milliseconds per stage, added up over the rounds; a stage within another one counts for itself alone."""
 
     def __init__(self) -> None:
         self.milliseconds: dict[str, float] = {}
+        self._within = 0.0
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start, outer, self._within = time.perf_counter(), self._within, 0.0
         yield
-        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + 1e3 * (time.perf_counter() - start)
+        passed = 1e3 * (time.perf_counter() - start)
+        self.milliseconds[stage] = self.milliseconds.get(stage, 0.0) + passed - self._within
+        self._within = outer + passed
 
 
 Images = Sequence[np.ndarray]  # of one instant: see Reconstructor.__call__
@@ -202,7 +205,9 @@ class Reconstructor:
         checked, priors = check_frame(self.rig, images, masks)
         with clock("rectify"):
             kind, spare = self.options.rectify.interpolation, self._spare_frame()
-            frame = rectified_frame(self.rectification, checked, priors, kind, self.threads, spare)
+            frame = self.backend.rectified_frame(
+                self.rectification, checked, priors, kind, self.threads, spare, grey=not self.options.multiview.enabled
+            )
         return _Prepared(frame, priors, checked[0].ndim == 3, clock)
 
     def _spare_frame(self) -> Frame | None:
@@ -219,19 +224,19 @@ class Reconstructor:
             method, stages = multiview.see_past, backends.multiview(self.backend)
         found, rounds = method(prepared.frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
-            refined = input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
+            if found["dynamic"] is prepared.frame.dynamic:  # as they came in
+                masks = tuple(mask.copy() for mask in prepared.masks)
+            else:
+                masks = self.backend.input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
+            del found["dynamic"]
         background = found["background"]
         if np.may_share_memory(background, prepared.frame.colour):
             background = background.copy()
+        found["background"] = background if prepared.in_colour else background[..., 0]
+        found["depth"] = self.backend.depth(found["disparity"], geometry)
         self._spare.append(prepared.frame)
         return Result(
-            background=background if prepared.in_colour else background[..., 0],
-            disparity=found["disparity"],
-            depth=geometry.depth(found["disparity"]),
-            confidence=found["confidence"],
-            coverage=found["coverage"],
-            labels=found["labels"],
-            masks=refined,
+            **self.backend.download({**found, "masks": masks}),
             geometry=geometry,
             timings=clock.milliseconds,
             rounds=rounds,

@@ -92,8 +92,14 @@ def fixed_point(pixels: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, 
 
     Pixels outside `size` are clamped to just beyond its border.
     """
-    near_x, near_y = (  # fmax takes -1 instead of NaN
-        np.fmin(np.fmax(plane, np.float32(-1)), np.float32(length)) for plane, length in zip(pixels, size, strict=True)
-    )
+    near_x, near_y = (_between(plane, -1, length) for plane, length in zip(pixels, size, strict=True))
     whole, fraction = cv2.convertMaps(near_x, near_y, cv2.CV_16SC2)
     return whole, fraction
+
+
+def _between(plane: np.ndarray, low: float, high: float) -> np.ndarray:
+    """float32, clamped; `low` where NaN is. What fmin(fmax()) gives, which takes ten times as long."""
+    near = np.minimum(np.maximum(plane, np.float32(low)), np.float32(high))
+    if np.isnan(near.sum()):
+        np.nan_to_num(near, copy=False, nan=low)
+    return near

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from types import ModuleType
 
-import cv2
 import numpy as np
 
-from .candidates import Candidates, DisparityGrid
+from .candidates import DisparityGrid
 from .geometry import ArrayGeometry
-from .levels import Level, enlarged, level_grid
+from .levels import Level, level_grid
 from .many import UNITS, PairCosts, Penalties
 from .options import Options
 
@@ -30,37 +29,23 @@ class Surfaces:
     disparity: np.ndarray
     agree: np.ndarray
 
-    def at_full_size(self, shape: tuple[int, ...]) -> np.ndarray:
+    def at_full_size(self, shape: tuple[int, ...], backend: ModuleType) -> np.ndarray:
         """float32 [K, *shape] px over the array."""
-        return enlarged(self.disparity, self.scale, shape).astype(np.float32) * np.float32(self.scale / UNITS)
+        return backend.enlarged(self.disparity, self.scale, shape).astype(np.float32) * np.float32(self.scale / UNITS)
 
 
 def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, backend: ModuleType) -> Surfaces:
     """Semi-global matching of every view without any mask, through the whole range; colour uint8 [K, H, W, 3]."""
     o, scale = options.multiview, coarseness(geometry, options)
-    level = Level.of(colour, np.ones(colour.shape[:-1], bool), geometry, scale)
+    level = Level.of(colour, np.ones_like(colour[..., 0], bool), geometry, scale, backend)
     low, *_, high = search_range(geometry, options).values
-    candidates = Candidates.all(level_grid((low, high), scale, 1.0), level.static.shape[1:])
+    candidates = [backend.everything(level_grid((low, high), scale, 1.0), level.static.shape[1:])] * geometry.cameras
     penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
     features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
-    found = np.stack(
-        [
-            backend.aggregate(
-                backend.volume(features, view, candidates, costs),
-                level.colour[k],
-                level.static[k],
-                candidates,
-                penalties,
-            )
-            for k, view in enumerate(level.views)
-        ]
-    )
-    tolerance = round(UNITS * o.tolerance)
-    agree = [
-        backend.witnesses(found[k], found, level.static, view, k, tolerance)[0] > 0
-        for k, view in enumerate(level.views)
-    ]
-    return Surfaces(scale, found, np.stack(agree))
+    volumes = backend.volumes(features, level.views, candidates, costs)
+    found = backend.aggregates(volumes, level.colour, level.static, candidates, penalties)
+    agree, _ = backend.witnesses_of_views(found, level.static, level.views, round(UNITS * o.tolerance))
+    return Surfaces(scale, found, agree > 0)
 
 
 def coarseness(geometry: ArrayGeometry, options: Options) -> int:
@@ -83,21 +68,17 @@ def search_range(geometry: ArrayGeometry, options: Options) -> DisparityGrid:
     return DisparityGrid.of(wanted, geometry.size[0])
 
 
-def static_span(seen: Surfaces, static: np.ndarray, geometry: ArrayGeometry, options: Options) -> tuple[float, float]:
+def static_span(
+    seen: Surfaces, static: np.ndarray, geometry: ArrayGeometry, options: Options, backend: ModuleType
+) -> tuple[float, float]:
     """Lowest and highest disparity of the static scene, px of full-size views; static bool [K, H, W].
 
     Percentiles of the disparities that another view confirms, clear of people, and a margin.
     """
-    scale = seen.scale
-    height, width = seen.disparity.shape[1:]
-    reach = CLEAR // scale
-    square = np.ones((2 * reach + 1,) * 2, np.uint8)
-    small = static[:, scale // 2 :: scale, scale // 2 :: scale][:, :height, :width]
-    clear = [cv2.erode(np.ascontiguousarray(view).view(np.uint8), square, borderValue=1) > 0 for view in small]
     low, *_, high = search_range(geometry, options).values
-    sure = seen.disparity[np.stack(clear) & seen.agree]
-    if len(sure):
-        inner = np.percentile(sure, INNER) * (scale / UNITS)
+    inner = backend.inner_span(seen.disparity, seen.agree, static, seen.scale, CLEAR // seen.scale, INNER)
+    if inner is not None:
+        inner = inner * (seen.scale / UNITS)
         margin = max(2.0, 0.04 * (inner[1] - inner[0])) + 10
         low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
     return float(np.floor(low)), float(high)

@@ -6,6 +6,7 @@ import importlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from types import ModuleType
 
 from ..errors import BackendError
@@ -27,6 +28,16 @@ def get(name: str) -> ModuleType:
             f"backend {name!r} cannot be loaded ({error}): reinstall seepast with a C++ compiler, or use "
             "--backend reference"
         ) from error
+
+
+@lru_cache(maxsize=1)
+def core() -> ModuleType | None:
+    """The C++ core, for what is no stage of a backend; None where it was not built."""
+    try:
+        with _idle_threads_sleep():
+            return importlib.import_module("seepast._core")
+    except ImportError:
+        return None
 
 
 @contextmanager

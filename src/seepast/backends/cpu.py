@@ -10,10 +10,12 @@ import numpy as np
 
 from .. import _core
 from ..candidates import CELL, EIGHTHS, DisparityGrid, Prior, prior_energy
+from ..confidence import of_labels as evidence
 from ..evidence import NATS, POSTERIOR, POSTERIOR_SCALE, prior_costs
 from ..geometry import ArrayGeometry
 from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
 from ..triangulation import delaunay, with_corners
+from .host import depth, download, input_masks, probability, rectified_frame
 from .reference import (
     FOREGROUND_WEIGHT,
     NEARER,
@@ -33,11 +35,17 @@ from .reference import (
 
 __all__ = [
     "affected",
+    "depth",
     "describe",
     "disparity",
+    "download",
+    "evidence",
+    "input_masks",
     "masks",
     "neighbourhood",
     "prior",
+    "probability",
+    "rectified_frame",
     "refocus",
     "segmentation",
     "set_threads",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from dataclasses import dataclass
 
@@ -10,32 +11,72 @@ import numpy as np
 
 from .. import _core
 from ..candidates import CHUNK, Candidates, DisparityGrid
+from ..confidence import CLOSE, of_views
 from ..geometry import ArrayGeometry
 from ..many import CONFIDENT, CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
+from .host import (
+    averaged,
+    beside,
+    clear_of_masks,
+    enlarged,
+    inner_span,
+    landings,
+    probability,
+    ray_count,
+    three_channels,
+)
+from .one_by_one import OneByOne
 from .reference import FOREGROUND_WEIGHT, NEARER
 
 __all__ = [
-    "aggregate", "blend", "confidence_of", "describe", "fill_unseen", "labels", "planes", "volume", "votes", "windows",
-    "witnesses"
-]  # fmt: skip
+    "aggregate",
+    "aggregates",
+    "averaged",
+    "beside",
+    "blend",
+    "clear_of_masks",
+    "confidence_of",
+    "describe",
+    "enlarged",
+    "everything",
+    "evidence",
+    "fill_unseen",
+    "inner_span",
+    "labels",
+    "landings",
+    "planes",
+    "planes_of_views",
+    "probability",
+    "ray_count",
+    "three_channels",
+    "volume",
+    "volumes",
+    "votes",
+    "votes_of_views",
+    "windows",
+    "windows_of_views",
+    "witnesses",
+    "witnesses_of_views",
+]
+
+_views = OneByOne(sys.modules[__name__])
+aggregates, votes_of_views, witnesses_of_views = _views.aggregates, _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
+everything = Candidates.all
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """planes uint8 [K, H, PLANES, stride], unclear uint64 [K, H, 2, stride / 64 + 1]: cpp/multiview.h FeatureRows."""
+    """What rows are described from while they are matched: colour uint8 [K, H, W, 3], static bool [K, H, W]."""
 
-    planes: np.ndarray
-    unclear: np.ndarray
+    colour: np.ndarray
+    static: np.ndarray
 
 
 def describe(colour: np.ndarray, static: np.ndarray) -> Features:
-    K, height, width = static.shape
-    stride = -(-width // _core.BLOCK) * _core.BLOCK + 2 * _core.BLOCK
-    planes = np.empty((K, height, _core.PLANES, stride), np.uint8)
-    unclear = np.empty((K, height, 2, stride // 64 + 1), np.uint64)
-    _core.census(np.zeros((K, 5), np.float32), colour, _bytes(static), CUBIC, LUMA, planes, unclear)
-    return Features(planes, unclear)
+    """Nothing yet: what `volumes` describes of a row is in the cache when it is matched, and no longer than that."""
+    return Features(colour, static)
 
 
 def windows(
@@ -47,21 +88,52 @@ def windows(
     spread: int,
     shape: tuple[int, ...],
 ) -> Candidates:
-    active, start = np.empty(shape, np.uint64), np.empty(shape[0] * shape[1] + 1, np.int32)
-    _core.windows(disparity, _bytes(where), ratio, _grid(grid), reach, spread, active)
-    _core.chunk_starts(active, start)
-    return Candidates(grid, active, start)
+    return windows_of_views(disparity[None], where[None], ratio, grid, reach, spread, shape)[0]
+
+
+def windows_of_views(
+    disparity: np.ndarray,
+    where: np.ndarray,
+    ratio: int,
+    grid: DisparityGrid,
+    reach: int,
+    spread: int,
+    shape: tuple[int, ...],
+) -> list[Candidates]:
+    K = len(disparity)
+    active, start = np.empty((K, *shape), np.uint64), np.empty((K, shape[0] * shape[1] + 1), np.int32)
+    for k in range(K):
+        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, active[k], start[k])
+    return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
 def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, costs: PairCosts) -> np.ndarray:
-    pairs = (np.array(p, np.int32).reshape(-1, 2) for p in camera_pairs(geometry.cameras, geometry.reference))
-    out = np.empty((int(candidates.start[-1]), CHUNK), np.uint8)
-    _core.volume(
-        geometry.offsets, *geometry.center, features.planes, features.unclear, geometry.reference,
-        _grid(candidates.grid), candidates.active, candidates.start, *pairs, costs.census_scale, costs.few,
-        costs.colour_cap, costs.lone, costs.unseen, out,
+    return volumes(features, [geometry], [candidates], costs)[0]
+
+
+def volumes(
+    features: Features, views: list[ArrayGeometry], candidates: list[Candidates], costs: PairCosts
+) -> list[np.ndarray]:
+    pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
+    out = np.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
+    _core.volumes(
+        np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32),
+        np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), CUBIC, LUMA,
+        _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
+        np.concatenate(pairs), np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale,
+        costs.few, costs.colour_cap, costs.lone, costs.unseen, out,
     )  # fmt: skip
-    return out
+    ends = np.cumsum([c.chunks for c in candidates])
+    return np.split(out, ends[:-1])
+
+
+def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+    """np.stack(arrays), without a copy where they are the slices of one array, all in order."""
+    whole = arrays[0].base
+    slices = whole is not None and whole.shape == (len(arrays), *arrays[0].shape)
+    if slices and all(a.base is whole and a.ctypes.data == whole[i].ctypes.data for i, a in enumerate(arrays)):
+        return whole
+    return np.stack(arrays)
 
 
 def aggregate(
@@ -121,9 +193,19 @@ def labels(
 
 
 def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
-    out = np.empty(agree.shape, np.uint8)
-    _core.confidence_of(agree, _bytes(farther), _bytes(static), CONFIDENT, lone, doubtful, out)
+    out, rows = np.empty(agree.shape, np.uint8), (-1, agree.shape[-1])
+    agree, farther, static = (v.reshape(rows) for v in (agree, _bytes(farther), _bytes(static)))
+    _core.confidence_of(agree, farther, static, CONFIDENT, lone, doubtful, out.reshape(rows))
     return out
+
+
+def evidence(
+    d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
+) -> np.ndarray:
+    """Evidence of `confidence.of_views`: uint8 [H, W]."""
+    r = geometry.reference
+    close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
+    return of_views(d, static[r], close, shown)
 
 
 def votes(

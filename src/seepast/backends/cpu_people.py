@@ -7,6 +7,7 @@ import numpy as np
 from .. import _core
 from ..geometry import ArrayGeometry
 from ..people import COLOURS, LEVELS, MOMENTS, Cells, FieldCosts, Terms
+from .host_people import disagreement, probability, share_histograms, sure_labels, surface_range, upsampled  # noqa: F401
 
 set_threads = _core.set_threads
 

@@ -12,12 +12,14 @@ Candidates;  confidence uint8 in 20ths.
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
+from ..confidence import CLOSE, of_views
 from ..geometry import ArrayGeometry
 from ..many import (
     CONFIDENT,
@@ -34,21 +36,56 @@ from ..many import (
     camera_pairs,
     cubic_weights,
 )
+from .host import (
+    averaged,
+    beside,
+    clear_of_masks,
+    enlarged,
+    inner_span,
+    landings,
+    probability,
+    ray_count,
+    three_channels,
+)
+from .one_by_one import OneByOne
 from .reference import fill_unseen, quarter_positions, ray_offsets
 
 __all__ = [
     "aggregate",
+    "aggregates",
+    "averaged",
+    "beside",
     "blend",
+    "clear_of_masks",
     "confidence_of",
     "describe",
+    "enlarged",
+    "everything",
+    "evidence",
     "fill_unseen",
+    "inner_span",
     "labels",
+    "landings",
     "planes",
+    "planes_of_views",
+    "probability",
+    "ray_count",
+    "three_channels",
     "volume",
+    "volumes",
     "votes",
+    "votes_of_views",
     "windows",
+    "windows_of_views",
     "witnesses",
+    "witnesses_of_views",
 ]
+
+_views = OneByOne(sys.modules[__name__])
+windows_of_views, volumes, aggregates = _views.windows_of_views, _views.volumes, _views.aggregates
+votes_of_views, witnesses_of_views = _views.votes_of_views, _views.witnesses_of_views
+planes_of_views = _views.planes_of_views
+everything = Candidates.all
 
 
 # ---------------------------------------------------------------------------------------------- describe
@@ -338,6 +375,15 @@ def labels(
     return shown, open_rays
 
 
+def evidence(
+    d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
+) -> np.ndarray:
+    """Evidence of `confidence.of_views`: uint8 [H, W]."""
+    r = geometry.reference
+    close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
+    return of_views(d, static[r], close, shown)
+
+
 def votes(
     costs: np.ndarray,
     disparities: np.ndarray,
@@ -404,7 +450,7 @@ def vote_of(disparity, confidence, geometry, k, x, y, d) -> tuple[np.ndarray, np
 
 def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
     """c of a view's disparities in 20ths: CONFIDENT where another view agrees, else doubtful where one sees farther,
-    else lone; 0 where not static. uint8 [H, W]."""
+    else lone; 0 where not static. uint8, any shape."""
     c = np.where(agree > 0, CONFIDENT, np.where(farther, doubtful, lone))
     return np.where(static, c, 0).astype(np.uint8)
 

@@ -29,6 +29,7 @@ from ..people import (
     lattice,
 )
 from ..rectify import NO_RAY
+from .host_people import disagreement, probability, share_histograms, sure_labels, surface_range, upsampled  # noqa: F401
 from .reference import ray_offsets, rounded_ray
 
 

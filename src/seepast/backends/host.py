@@ -1,0 +1,126 @@
+"""What the backends `cpu` and `reference` share: their arrays are NumPy's, and NumPy or OpenCV does what lies between
+the stages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import cv2
+import numpy as np
+
+from ..confidence import ray_count
+from ..frames import input_masks, rectified_frame
+from ..geometry import ArrayGeometry
+
+__all__ = [
+    "averaged",
+    "beside",
+    "clear_of_masks",
+    "depth",
+    "download",
+    "enlarged",
+    "inner_span",
+    "input_masks",
+    "landings",
+    "probability",
+    "ray_count",
+    "rectified_frame",
+    "three_channels",
+]
+T = TypeVar("T")
+
+
+def download(found: T) -> T:
+    """What a method found, in NumPy's arrays."""
+    return found
+
+
+def depth(disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    """Metres in the reference camera: float32, 0 where the disparity is 0 (unknown)."""
+    return geometry.depth(disparity)
+
+
+def probability(evidence: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """P(|disparity error| <= 1 px over the array) of evidence bytes: float32, by table float32 [256]."""
+    return cv2.LUT(evidence, table)
+
+
+def three_channels(colour: np.ndarray) -> np.ndarray:
+    """Grey views as BGR: uint8 [K, H, W, C] -> [K, H, W, 3], contiguous."""
+    return np.ascontiguousarray(np.broadcast_to(colour, (*colour.shape[:-1], 3)))
+
+
+def averaged(
+    colour: np.ndarray, static: np.ndarray, size: tuple[int, int], scale: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Views with `scale` x `scale` pixels averaged into one, `size` (width, height) of them: colour uint8
+    [K, h, w, 3], and static bool [K, h, w] where every pixel that was averaged is."""
+    width, height = (n * scale for n in size)
+    small = np.stack([cv2.resize(v[:height, :width], size, interpolation=cv2.INTER_AREA) for v in colour])
+    rows = np.logical_and.reduce([static[:, i:height:scale, :width] for i in range(scale)])
+    return small, np.logical_and.reduce([rows[:, :, i::scale] for i in range(scale)])
+
+
+def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...]) -> np.ndarray:
+    """Views of reduced size with every pixel repeated, up to `shape`: [K, h, w] -> [K, H, W]."""
+    if ratio == 1:
+        return views
+    return np.stack([_enlarged(view, ratio, shape) for view in views])
+
+
+def _enlarged(view: np.ndarray, ratio: int, shape: tuple[int, ...]) -> np.ndarray:
+    # OpenCV knows no bool; its nearest neighbour is the same for whole ratios, and much faster than repeat
+    bytes_or_words = view.view(np.uint8) if view.dtype == bool else view
+    size = view.shape[1] * ratio, view.shape[0] * ratio
+    whole = cv2.resize(np.ascontiguousarray(bytes_or_words), size, interpolation=cv2.INTER_NEAREST).view(view.dtype)
+    after = [(0, max(0, want - have)) for want, have in zip(shape, whole.shape, strict=True)]
+    if any(n for _, n in after):
+        whole = np.pad(whole, after, mode="edge")
+    return whole[: shape[0], : shape[1]]
+
+
+def beside(views: np.ndarray, reach: int) -> np.ndarray:
+    """bool [K, h, w] grown by `reach` px along rows and columns."""
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    return np.stack([cv2.dilate(np.ascontiguousarray(view).view(np.uint8), square) > 0 for view in views])
+
+
+def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    """Where the rays of the reference's pixels `hidden` bool [h, w], disparity px [h, w], end in each view:
+    bool [K, h, w]."""
+    out = np.zeros((geometry.cameras, *hidden.shape), bool)
+    y, x = np.nonzero(hidden)
+    d = disparity[y, x]
+    for k in range(geometry.cameras):
+        u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d))
+        there = (u >= 0) & (u < hidden.shape[1]) & (v >= 0) & (v < hidden.shape[0])
+        out[k, v[there], u[there]] = True
+    return out
+
+
+def clear_of_masks(static: np.ndarray) -> np.ndarray:
+    """bool [K, H, W]: pixels within 2 px of a mask may hold some of the person's colour, and count little."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    return np.stack([cv2.erode(view.view(np.uint8), disc, borderValue=1) for view in static]).view(bool)
+
+
+def inner_span(
+    disparity: np.ndarray,
+    agree: np.ndarray,
+    static: np.ndarray,
+    scale: int,
+    reach: int,
+    percentiles: Sequence[float],
+) -> np.ndarray | None:
+    """Percentiles of the disparities uint16 [K, h, w] that another view confirms (agree bool [K, h, w]), farther than
+    `reach` px from people: float64 [n]; None where there are none.
+
+    static  bool [K, H, W] of the full-size views, `scale` times larger
+    """
+    height, width = disparity.shape[1:]
+    square = np.ones((2 * reach + 1,) * 2, np.uint8)
+    small = static[:, scale // 2 :: scale, scale // 2 :: scale][:, :height, :width]
+    clear = [cv2.erode(np.ascontiguousarray(view).view(np.uint8), square, borderValue=1) > 0 for view in small]
+    sure = disparity[np.stack(clear) & agree]
+    return np.percentile(sure, percentiles) if len(sure) else None
