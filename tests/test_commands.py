@@ -191,7 +191,7 @@ def typed_in_zsh(script: Path, way: str, typed: str, awaited: set[str]) -> str:
 
 def _read_until(terminal: int, written: str, awaited: set[str]) -> str:
     os.write(terminal, written.encode())
-    shown, end = "", time.monotonic() + 20
+    shown, end = "", time.monotonic() + 60
     while time.monotonic() < end and not all(word in shown for word in awaited):
         if select.select([terminal], [], [], 0.2)[0]:
             shown += os.read(terminal, 65536).decode(errors="replace")
