@@ -32,7 +32,7 @@ BENCH := $(if $(PRESETS),--presets "$(PRESETS)") $(if $(WRITE),--write "$(WRITE)
 bench: bench-speed
 
 bench-speed: $(VENV)/.test-installed
-	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick)
+	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick) $(if $(LIBELAS),--libelas "$(LIBELAS)")
 
 bench-quality: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }

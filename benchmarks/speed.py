@@ -1,10 +1,13 @@
 """How long a frame takes: every preset, full frame and dynamic-only, stage by stage, beside OpenCV's SGBM.
 
-    make bench-speed [PRESETS=paper,...] [QUICK=1] [WRITE=benchmarks/RESULTS.md]
+    make bench-speed [PRESETS=paper,...] [QUICK=1] [LIBELAS=path/to/elas] [WRITE=benchmarks/RESULTS.md]
 
 Five cameras of 720x540 in colour, distorted and twisted (rectification of images and masks is part of the time),
 range 0..150 px in half-pixel steps, exact masks with people on about 15 % of the frame; input and output in memory.
-All that is compared runs in turn, round after round, and medians are given: a busy moment hits everybody alike.
+All that is compared runs in turn, round after round, and medians are given: a busy moment hits everybody alike. The
+last row compares with SGBM 3-way in the same round, since one machine is not as fast as itself an hour ago.
+
+LIBELAS names the demo program of libelas (not part of seepast: GPL), which is then run on the same pair.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ TOTAL = "total"
 
 Milliseconds = dict[str, float]  # stage -> ms, and TOTAL
 Task = Callable[[], Milliseconds]
-Label = tuple[str, str]  # preset, "full frame" | "people only" | what is swept
+Label = tuple[str, str]  # preset, "full frame" | "dynamic-only" | what is swept
+PEER: Label = ("SGBM", "3-way")
 
 
 def main() -> None:
@@ -68,6 +72,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=0, help="of the stage table (15; 3 with --quick)")
     parser.add_argument("--threads", type=int, default=0, help="default: all cores")
     parser.add_argument("--quick", action="store_true", help="few rounds and short sweeps, for a first look")
+    parser.add_argument("--libelas", type=Path, metavar="PROGRAM", help="run as PROGRAM left.pgm right.pgm, if given")
     parser.add_argument("--write", type=Path, metavar="RESULTS.md", help="replace the section 'speed' of this file")
     arguments = parser.parse_args()
     arguments.rounds = arguments.rounds or (3 if arguments.quick else 15)
@@ -84,16 +89,41 @@ def stages(recording: scenes.Recording, arguments: argparse.Namespace) -> str:
     tasks: dict[Label, Task] = {}
     for name in arguments.presets:
         tasks[name, "full frame"] = frame_task(recording, name, arguments.threads)
-        tasks[name, "people only"] = frame_task(recording, name, arguments.threads, dynamic_only=True)
+        tasks[name, "dynamic-only"] = frame_task(recording, name, arguments.threads, dynamic_only=True)
     left, right = _outer_pair(recording)
-    tasks["SGBM", "3-way"] = partial(sgbm, left, right, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    tasks[PEER] = partial(sgbm, left, right, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
     tasks["SGBM", "full"] = partial(sgbm, left, right, cv2.STEREO_SGBM_MODE_HH)
-    medians = interleaved(tasks, arguments.rounds)
+    note = f"SGBM: one rectified grey pair of the same size, {_pair_range()} disparities, all threads of OpenCV."
+    with tempfile.TemporaryDirectory() as folder:
+        if arguments.libelas:
+            tasks["libelas", "as a process"] = libelas(arguments.libelas, left, right, Path(folder))
+            note += " libelas: the same pair, its start and the reading and writing of files included."
+        runs = interleaved(tasks, arguments.rounds)
+    medians = {label: _medians(found) for label, found in runs.items()}
     names = list(dict.fromkeys(stage for found in medians.values() for stage in found if stage != TOTAL))
     rows = [[stage, *(_cell(found.get(stage) or None) for found in medians.values())] for stage in (*names, TOTAL)]
+    rows.append([f"x {' '.join(PEER)}", *(f"{_ratio(found, runs[PEER]):.2f}" for found in runs.values())])
     head = f"### Milliseconds per frame, medians of {arguments.rounds} interleaved rounds"
-    note = f"SGBM: one rectified grey pair of the same size, {_pair_range()} disparities, all threads of OpenCV."
     return "\n\n".join([head, markdown_table(["stage", *map(", ".join, medians)], rows), note])
+
+
+def libelas(program: Path, left: np.ndarray, right: np.ndarray, folder: Path) -> Task:
+    """Runs libelas's demo program on the pair, written to `folder`; it writes its disparities beside it."""
+    files = [str(folder / name) for name in ("left.pgm", "right.pgm")]
+    for file, view in zip(files, (left, right), strict=True):
+        cv2.imwrite(file, view)
+
+    def once() -> Milliseconds:
+        start = time.perf_counter()
+        subprocess.run([str(program.resolve()), *files], check=True, stdout=subprocess.DEVNULL, cwd=folder)
+        return {TOTAL: 1e3 * (time.perf_counter() - start)}
+
+    return once
+
+
+def _ratio(found: Sequence[Milliseconds], peer: Sequence[Milliseconds]) -> float:
+    """Median over the rounds of how many times as long as the peer it took."""
+    return median(run[TOTAL] / other[TOTAL] for run, other in zip(found, peer, strict=True))
 
 
 def frame_task(
@@ -139,8 +169,8 @@ def sgbm_clock() -> Callable[[], float]:
     return lambda: sgbm(left, right, cv2.STEREO_SGBM_MODE_SGBM_3WAY)[TOTAL]
 
 
-def interleaved(tasks: Mapping[Label, Task], rounds: int) -> dict[Label, Milliseconds]:
-    """Medians per stage; the tasks run in turn, after one run of each that does not count."""
+def interleaved(tasks: Mapping[Label, Task], rounds: int) -> dict[Label, list[Milliseconds]]:
+    """Every round's times; the tasks run in turn, after one run of each that does not count."""
     for label, task in tasks.items():
         print(f"warming up: {', '.join(label)}", file=sys.stderr, flush=True)
         task()
@@ -149,7 +179,11 @@ def interleaved(tasks: Mapping[Label, Task], rounds: int) -> dict[Label, Millise
         print(f"round {number + 1} of {rounds}", file=sys.stderr, flush=True)
         for label, task in tasks.items():
             found[label].append(task())
-    return {label: {stage: median(run[stage] for run in runs) for stage in runs[0]} for label, runs in found.items()}
+    return found
+
+
+def _medians(runs: Sequence[Milliseconds]) -> Milliseconds:
+    return {stage: median(run[stage] for run in runs) for stage in runs[0]}
 
 
 def cold_and_memory(recording: scenes.Recording, arguments: argparse.Namespace) -> str:
@@ -195,7 +229,7 @@ def _sweep(what: str, cases: Mapping[str, Case], arguments: argparse.Namespace) 
         for name, (_, recording, largest) in cases.items()
     }
     rounds = max(1, arguments.rounds // 3)
-    medians = interleaved(tasks, rounds)
+    medians = {label: _medians(runs) for label, runs in interleaved(tasks, rounds).items()}
     values = [value for value, _, _ in cases.values()]
     rows = []
     for preset in arguments.presets:

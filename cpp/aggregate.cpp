@@ -1,78 +1,121 @@
 // Stage "aggregate" of the many-view method: semi-global matching along 8 or 4 paths (Hirschmueller 2008).
 //
-// Two sweeps over the rows: one goes down with the path from the left and those from above, the other goes up
-// with the rest. They start at once, on two threads; each stores its sums in its first half of the image, and
-// in its second half finds the other's there, adds them and picks each pixel's candidate. Paths over pixels
-// outside the image have cost 0, which lets a path that enters the image begin with the matching cost alone.
+// Two sweeps over the rows: one goes down with the paths from above, the other up with those from below. They
+// start at once, on two threads; each stores its sums until they meet, and from there on finds the other's, adds
+// them and those along the row, of both directions, and picks each pixel's candidate. What all candidates of a
+// pixel have in common does not matter: so a path that enters the image, or comes from a pixel that is not
+// matched, may begin with any number.
 //
-// A row of path costs is stored dense, kBeyond where a pixel is not matched: so a pixel reads its neighbour's
-// costs, and those beside them, without asking where that one was matched. What is written twice over is
-// cleared where the pixel two rows before was matched and this one is not.
+// A path from row to row holds its costs in one place per column, or diagonal: dense, kBeyond where the pixel is
+// not matched. So a pixel reads the costs before it, and those beside them, without asking where that one was
+// matched. Neighbours mostly are matched at the same chunks: such runs of pixels have no branches in them.
 #include <algorithm>
 #if defined(__x86_64__)
 #include <immintrin.h>
 #endif
 #include <memory>
+#include <vector>
 
 #include "multiview.h"
 
 namespace seepast {
 namespace {
 
-constexpr int16_t kBeyond =
-    20000;  // path cost where a pixel is not matched: more than any, and 1000, P2's most
-constexpr int16_t kUnsettled = 8000;  // lowest path cost at which what has gathered on the path is taken away
-constexpr int kGuard = kChunk;        // entries of it between two pixels' candidates
-constexpr size_t kLine = 32;          // entries of a cache line
+constexpr int16_t kBeyond = 20000;  // path cost where a pixel is not matched: more than any
+constexpr int kGuard = kChunk;      // entries of it between two pixels' candidates
+constexpr int kRows = 4;            // that go along together
+constexpr int kColourSteps = 766;   // entries of Penalties::large
+constexpr int kBlockOfSteps = 32;
+constexpr size_t kLine = 32;  // entries of a cache line
 
 size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
+
+constexpr size_t kRunEntries = 8;  // of a Run
 
 // Where things lie in the scratch memory, in entries.
 struct Layout {
   Layout(int height, int width, int count, int paths, size_t chunks)
-      : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard), columns(width + 2) {
-    row = (kGuard + columns * pitch + 2047) / 2048 * 2048 + 352;
-    lows = lines(columns);
-    sweep = 2 * vertical * (row + lows) + lines(3 * pitch + kGuard) + lines(4 * width);
-    steps = lines(static_cast<size_t>(width + 2) * (height + 1));
+      : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard), width(width) {
+    slots = width + (vertical == 3 ? height : 0);
+    entries = lines(kGuard + slots * pitch);
+    line = lines(2 * kGuard + count);
+    steps = lines(width + 2);
+    plane = steps * (height + 1);
+    along = std::min(chunks, static_cast<size_t>(kRows) * width * (count / kChunk)) * kChunk;
+    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) + along;
     sums = chunks * kChunk;
-    total = 2 * sweep + (vertical + 1) * steps + sums + kLine;
+    total = 2 * sweep + vertical * plane + sums + kLine;
   }
 
-  size_t vertical, pitch, columns;
-  size_t row, lows;  // of one path: entries, spread over a page (a load waits for stores that are a page
-                     // away), lowest
-  size_t sweep, steps, sums, total;
+  size_t vertical, pitch, width;
+  size_t slots, entries;        // of one path from row to row
+  size_t plane;                 // penalties from row to row
+  size_t line, steps, along;    // of one row; path costs, penalties, and the sums of kRows rows
+  size_t sweep, sums, total;
 };
 
-// Number and sum of a pixel's lowest candidate, and the sums beside it, which count only where they are
-// active.
+constexpr int16_t kNone = -20000;  // in place of the sum of a candidate that is not active: no vertex beside it
+
+// Sum and number of a pixel's lowest candidate, and the sums beside it.
 struct Pick {
-  int16_t best, left, lowest, right;
+  int16_t left, lowest, right, best;
 };
 
-// What does not change from row to row; `paths` are those from the row before, at x - 1, x, x + 1 or only x,
-// and then the one along the row.
+// Columns [from, end) of one row, or some, and whether those have the same chunks.
+struct Run {
+  int32_t from, end;
+  int64_t same;
+};
+
+// A path along a row.
+struct Line {
+  const uint8_t* costs;
+  const uint64_t* active;  // [W]
+  const int32_t* start;    // [W]
+  const int16_t* large;    // P2 between every pixel and the one before it
+  int16_t* entries;
+  int16_t* sums;  // of all chunks, though there is memory for some rows'
+  uint64_t held;  // chunks of `entries` that are not beyond
+  int16_t low;    // the lowest of them
+};
+
+// A row, and the paths into it from the row before: from x - dx.
 struct Row {
   const uint8_t* costs;
-  const uint64_t* active;        // [W]
-  const uint64_t* active_stale;  // [W] two rows before, or nullptr
-  const int32_t* start;          // [W]
-  int width, direction, small;
+  const uint64_t* active;  // [W]
+  const uint64_t* before;  // [W] of the row before, or nullptr
+  const int32_t* start;    // [W]
+  int width;
+  int16_t small;
   Grid grid;
-  const int16_t* before;                // of the row before: column 0 or -1, path 0
-  ptrdiff_t before_path, before_pitch;  // from path to path, each a column farther, and from column to column
-  const int16_t* before_low[3];
-  int16_t* to;
-  ptrdiff_t path, pitch;
-  int16_t* to_low[3];
-  const int16_t* large[4];  // P2, [W]
-  int16_t* beside;          // two pixels' entries of the path along the row
-  const int16_t* outside;   // entries that are 0
-  int16_t* sums;
+  int dx[3];
+  int16_t* entries[3];  // where column 0 has its place
+  const int16_t* large[3];  // P2, [W]
+  ptrdiff_t pitch;
+  uint8_t* saved_bytes;  // the sums of the paths from row to row: bytes,
+  int16_t* saved;        // or, where they need more, this
+  int16_t* along;        // the sums of those along it, as in Line; in the end of all
+  Run* runs;      // [W]
   Pick* picks;    // [W]
-  uint16_t* out;  // nullptr: store the sums
+  uint16_t* out;  // nullptr: save the sums
 };
+
+// P2 by the colour step, and behind them that between pixels that are not static both.
+using Large = int16_t[kColourSteps + 1];
+
+// P2 between n pixels and the others, `other` from them.
+inline void steps_of(const uint8_t* a, const uint8_t* is_static, int n,
+                                                    ptrdiff_t other, const Large& large, int16_t* out) {
+  const uint8_t *b = a + 3 * other, *s = is_static, *t = s + other;
+  uint16_t step[kBlockOfSteps];
+  for (int i = 0; i < n; ++i) {
+    const int d0 = a[3 * i] - b[3 * i], d1 = a[3 * i + 1] - b[3 * i + 1], d2 = a[3 * i + 2] - b[3 * i + 2];
+    const int sum = (d0 < 0 ? -d0 : d0) + (d1 < 0 ? -d1 : d1) + (d2 < 0 ? -d2 : d2);
+    step[i] = static_cast<uint16_t>(s[i] & t[i] ? sum : kColourSteps);
+  }
+#pragma GCC unroll 8
+  for (int i = 0; i < n; ++i) out[i] = large[step[i]];
+}
 
 #if defined(SEEPAST_V4)
 #pragma GCC diagnostic push
@@ -103,32 +146,19 @@ namespace baseline {
 #include "aggregate_rows.h"
 }
 
-using Run = void (*)(const Row&, bool);
-Run runner() {
+struct Loops {
+  void (*along)(Line*, int, int, Run*, int16_t);
+  void (*down)(const Row&, bool);
+  void (*steps)(const uint8_t*, const uint8_t*, const uint64_t*, int, int, ptrdiff_t, const Large&, int16_t*);
+};
+Loops loops() {
 #if defined(SEEPAST_V4)
-  if (simd() >= Simd::avx512) return v4::run;
+  if (simd() >= Simd::avx512) return {v4::along_rows, v4::down_row, v4::step_row};
 #endif
 #if defined(SEEPAST_V3)
-  if (simd() == Simd::avx2) return v3::run;
+  if (simd() == Simd::avx2) return {v3::along_rows, v3::down_row, v3::step_row};
 #endif
-  return baseline::run;
-}
-
-// P2 between every pixel and the one left of it, above it, above left, and above right; 0 at the image's
-// edge. Rows have an entry before and one after them, and there is one row more than the image has.
-SEEPAST_CLONES void step_row(const uint8_t* image, const uint8_t* is_static, int from, int to,
-                             ptrdiff_t other, const Penalties& penalties, int16_t* out) {
-  for (int x0 = from; x0 < to; x0 += 256) {
-    const int n = std::min(256, to - x0);
-    const uint8_t *a = image + 3 * x0, *b = a + 3 * other, *s = is_static + x0;
-    uint16_t step[256];
-    for (int i = 0; i < n; ++i) {
-      const int d0 = a[3 * i] - b[3 * i], d1 = a[3 * i + 1] - b[3 * i + 1], d2 = a[3 * i + 2] - b[3 * i + 2];
-      step[i] = static_cast<uint16_t>((d0 < 0 ? -d0 : d0) + (d1 < 0 ? -d1 : d1) + (d2 < 0 ? -d2 : d2));
-    }
-    for (int i = 0; i < n; ++i)
-      out[x0 + i] = static_cast<int16_t>(s[i] & s[i + other] ? penalties.large[step[i]] : penalties.dynamic);
-  }
+  return {baseline::along_rows, baseline::down_row, baseline::step_row};
 }
 
 struct View {
@@ -136,122 +166,136 @@ struct View {
   const uint64_t* active;
   const int32_t* start;
   int height, width;
+
+  size_t at(int y) const { return static_cast<size_t>(y) * width; }
 };
 
-struct Steps {
-  Steps(const View& view, const Penalties& penalties, const Layout& layout, int16_t* memory)
-      : memory(memory), plane(layout.steps), pitch(view.width + 2) {
-    const int dx[4] = {-1, 0, -1, 1};
-#pragma omp parallel for schedule(static)
-    for (int y = 0; y <= view.height; ++y)
-      for (size_t way = 0; way <= layout.vertical; ++way) {
-        int16_t* to = row(way, y);
-        const bool inside = y < view.height && (way == 0 || y > 0);
-        const int first = std::max(0, -dx[way]), last = inside ? view.width - std::max(0, dx[way]) : first;
-        std::fill(to - 1, to + first, int16_t{0});
-        std::fill(to + std::max(first, last), to + view.width + 1, int16_t{0});
-        const size_t at = static_cast<size_t>(y) * view.width;
-        if (last > first)
-          step_row(view.image + 3 * at, view.is_static + at, first, last,
-                   dx[way] - (way ? static_cast<ptrdiff_t>(view.width) : 0), penalties, to);
-      }
+// The row that halves the work, by some of the rows.
+int middle(const View& view) {
+  constexpr int every = 4;
+  std::vector<size_t> until{0};
+  for (int y = 0; y < view.height; y += every) {
+    size_t n = 0;
+    for (int x = 0; x < view.width; ++x) n += view.active[view.at(y) + x] != 0;
+    until.push_back(until.back() + n);
   }
-  int16_t* row(size_t way, int y) const { return memory + way * plane + static_cast<size_t>(y) * pitch + 1; }
+  const auto half = std::lower_bound(until.begin(), until.end(), (until.back() + 1) / 2);
+  return std::min(view.height, static_cast<int>(half - until.begin()) * every);
+}
 
-  int16_t* memory;
-  size_t plane, pitch;
-};
-
-// One sweep: direction 1 goes down and right, -1 up and left.
+// One sweep: direction 1 goes down, -1 up.
 struct Sweep {
-  Sweep(const View& view, const Grid& grid, const Penalties& penalties, const Steps& large,
-        const Layout& layout, int direction, int16_t* memory, int16_t* sums)
+  Sweep(const View& view, const Grid& grid, const Large& large, int small, const Layout& layout, int direction,
+        int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
       : view(view),
         grid(grid),
-        small(penalties.small),
         large(large),
+        small(static_cast<int16_t>(small)),
         layout(layout),
         direction(direction),
-        sums(sums) {
-    entries = memory;
-    lows = entries + 2 * layout.vertical * layout.row;
-    beside = lows + 2 * layout.vertical * layout.lows;
-  }
-
-  int16_t* entry(int n, size_t path) const {
-    return entries + ((n & 1) * layout.vertical + path) * layout.row + kGuard + layout.pitch;
-  }
-  int16_t* low(int n, size_t path) const {
-    return lows + ((n & 1) * layout.vertical + path) * layout.lows + 1;
-  }
+        run(loops()),
+        saved(saved),
+        bytes(bytes),
+        entries(memory),
+        planes(planes),
+        line_entries(entries + layout.vertical * layout.entries),
+        line_steps(line_entries + kRows * layout.line),
+        picks(line_steps + kRows * layout.steps),
+        runs(picks + lines(4 * view.width)),
+        along(runs + lines(kRunEntries * 3 * view.width)) {}
 
   void begin() const {
-    std::fill_n(entries, 2 * layout.vertical * layout.row, kBeyond);
-    std::fill_n(lows, 2 * layout.vertical * layout.lows, int16_t{0});
-    for (int n = 0; n < 2; ++n)
-      for (size_t path = 0; path < layout.vertical; ++path)
-        for (const int x : {-1, view.width})
-          std::fill_n(entry(n, path) + x * static_cast<ptrdiff_t>(layout.pitch), grid.count, int16_t{0});
-    std::fill_n(beside, kGuard + 2 * layout.pitch, kBeyond);
-    std::fill_n(beside + kGuard + 2 * layout.pitch, layout.pitch, int16_t{0});
+    std::fill_n(entries, layout.vertical * layout.entries, kBeyond);
+    std::fill_n(line_entries, kRows * layout.line, kBeyond);
+    for (size_t p = 0; p < layout.vertical; ++p)
+      std::fill_n(plane(p, direction > 0 ? 0 : view.height) - 1, view.width + 2, int16_t{0});
   }
 
-  // The sweep's rows [from, to): sums are stored, or, with `out`, added to and their winners written.
-  void rows(int from, int to, uint16_t* out) const {
-    const Run run = runner();
-    if (from == 0) begin();
-    for (int n = from; n < to; ++n) {
-      const int y = direction > 0 ? n : view.height - 1 - n;
-      const Row r = row(n, y, out ? out + static_cast<size_t>(y) * view.width : nullptr);
-      run(r, layout.vertical == 3);
+  // The sweep's rows before n = `to`: sums are saved.
+  void first(int to) const {
+    begin();
+    for (int n = 0; n < to; ++n) {
+      if (n) steps_between(direction > 0 ? n : view.height - n);
+      run.down(row(n, nullptr, nullptr), layout.vertical == 3);
+    }
+    if (direction > 0 && to > 0 && to < view.height) steps_between(to);
+  }
+
+  // Those from n = `from` on: they are added to what was saved, with those along the rows, and the winners are
+  // written.
+  void second(int from, uint16_t* out) const {
+    for (int n = from; n < view.height; n += kRows) {
+      const int count = std::min(kRows, view.height - n);
+      const int top = std::min(y_of(n), y_of(n + count - 1));
+      int16_t* sums = reinterpret_cast<int16_t*>(reinterpret_cast<uintptr_t>(along) -
+                                                 view.start[view.at(top)] * kChunk * sizeof(int16_t));
+      Line rows[kRows];
+      for (int i = 0; i < count; ++i) rows[i] = line(n + i, i, sums);
+      run.along(rows, count, view.width, reinterpret_cast<Run*>(runs), small);
+      for (int i = 0; i < count; ++i) run.down(row(n + i, sums, out), layout.vertical == 3);
     }
   }
 
-  Row row(int n, int y, uint16_t* out) const {
-    const size_t at = static_cast<size_t>(y) * view.width;
+  int y_of(int n) const { return direction > 0 ? n : view.height - 1 - n; }
+
+  Line line(int n, int i, int16_t* sums) const {
+    const size_t at = view.at(y_of(n));
+    Line l{};
+    l.costs = view.costs, l.active = view.active + at, l.start = view.start + at;
+    l.entries = line_entries + i * layout.line + kGuard;
+    l.sums = sums;
+    l.large = step(at, 1, 0, line_steps + i * layout.steps + 1);
+    return l;
+  }
+
+  Row row(int n, int16_t* sums, uint16_t* out) const {
+    const int y = y_of(n);
+    const size_t at = view.at(y);
     Row r{};
-    r.costs = view.costs;
-    r.active = view.active + at;
-    r.active_stale = n > 1 ? r.active - 2 * static_cast<ptrdiff_t>(direction) * view.width : nullptr;
-    r.start = view.start + at;
-    r.width = view.width, r.direction = direction, r.small = small;
-    r.grid = grid;
-    r.to = entry(n, 0);
-    r.path = layout.row, r.pitch = layout.pitch;
-    r.beside = beside + kGuard;
-    r.outside = r.beside + 2 * layout.pitch;
-    r.before = n ? entry(n - 1, 0) - (layout.vertical == 3 ? r.pitch : 0) : r.outside;
-    r.before_path = n ? r.path + r.pitch : 0, r.before_pitch = n ? r.pitch : 0;
-    for (size_t path = 0; path < layout.vertical; ++path) {
-      r.before_low[path] =
-          low(n + 1, path) + static_cast<ptrdiff_t>(path) - static_cast<ptrdiff_t>(layout.vertical / 2);
-      r.to_low[path] = low(n, path);
+    r.costs = view.costs, r.active = view.active + at, r.start = view.start + at;
+    const ptrdiff_t back = -direction * static_cast<ptrdiff_t>(view.width);
+    r.before = n ? r.active + back : nullptr;
+    r.width = view.width, r.small = small, r.grid = grid;
+    r.pitch = layout.pitch;
+    for (int p = 0; p < static_cast<int>(layout.vertical); ++p) {
+      const int dx = r.dx[p] = layout.vertical == 3 ? p - 1 : 0;
+      const ptrdiff_t slot = (dx > 0 ? view.height : 0) - dx * n;
+      r.entries[p] = entries + p * layout.entries + kGuard + slot * r.pitch;
+      r.large[p] = direction > 0 ? plane(p, y) : plane(layout.vertical - 1 - p, y + 1) - dx;
     }
-    large_of(y, r.large);
-    r.sums = sums;
-    r.picks = reinterpret_cast<Pick*>(beside + lines(3 * layout.pitch + kGuard));
-    r.out = out;
+    r.saved_bytes = bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
+    r.along = sums;
+    r.picks = reinterpret_cast<Pick*>(picks), r.runs = reinterpret_cast<Run*>(runs);
+    r.out = out ? out + at : nullptr;
     return r;
   }
 
-  // Penalties between row y and those before it; they are stored with the lower, or right, of two pixels.
-  void large_of(int y, const int16_t** to) const {
-    const bool down = direction > 0;
-    const int from = down ? y : y + 1;
-    to[layout.vertical] = large.row(0, y) + (down ? 0 : 1);
-    to[layout.vertical / 2] = large.row(1, from);
-    if (layout.vertical == 1) return;
-    to[0] = down ? large.row(2, from) : large.row(3, from) - 1;
-    to[2] = down ? large.row(3, from) : large.row(2, from) + 1;
+  // P2 between the pixels of row y and those above them that path p comes from.
+  int16_t* plane(size_t p, int y) const { return planes + p * layout.plane + y * layout.steps + 1; }
+
+  void steps_between(int y) const {
+    for (int p = 0; p < static_cast<int>(layout.vertical); ++p)
+      step(view.at(y), layout.vertical == 3 ? p - 1 : 0, view.width, plane(p, y));
+  }
+
+  // P2 between the pixels of the row at `at` and those dx to their left, `rows` pixels before.
+  const int16_t* step(size_t at, int dx, int rows, int16_t* out) const {
+    const int from = std::max(0, dx), to = view.width - std::max(0, -dx);
+    out[-1] = out[0] = out[view.width - 1] = out[view.width] = 0;
+    run.steps(view.image + 3 * at, view.is_static + at, view.active + at, from, to, -dx - rows, large, out);
+    return out;
   }
 
   const View& view;
   Grid grid;
-  int small;
-  const Steps& large;
+  const Large& large;
+  int16_t small;
   const Layout& layout;
   int direction;
-  int16_t *sums, *entries, *lows, *beside;
+  Loops run;
+  int16_t* saved;
+  bool bytes;
+  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *along;
 };
 
 }  // namespace
@@ -269,15 +313,19 @@ void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_sta
   size_t space = layout.total * sizeof(int16_t);
   int16_t* base =
       static_cast<int16_t*>(std::align(2 * kLine, (layout.total - kLine) * sizeof(int16_t), memory, space));
-  const Steps large(view, penalties, layout, base + 2 * layout.sweep);
-  int16_t* sums = base + 2 * layout.sweep + (layout.vertical + 1) * layout.steps;
-  const Sweep sweeps[2] = {{view, grid, penalties, large, layout, 1, base, sums},
-                           {view, grid, penalties, large, layout, -1, base + layout.sweep, sums}};
-  const int half = height / 2, met[2] = {half, height - half};  // rows that each has done when they meet
+  Large large;
+  std::copy_n(penalties.large, kColourSteps, large);
+  large[kColourSteps] = static_cast<int16_t>(penalties.dynamic);
+  const int most = *std::max_element(large, large + kColourSteps + 1);
+  const bool bytes = layout.vertical == 1 && most < 256;
+  int16_t *planes = base + 2 * layout.sweep, *saved = planes + layout.vertical * layout.plane;
+  const Sweep sweeps[2] = {{view, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
+                           {view, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
+  const int half = middle(view), met[2] = {half, height - half};  // rows that each has done when they meet
 #pragma omp parallel for schedule(static, 1)
-  for (int s = 0; s < 2; ++s) sweeps[s].rows(0, met[s], nullptr);
+  for (int s = 0; s < 2; ++s) sweeps[s].first(met[s]);
 #pragma omp parallel for schedule(static, 1)
-  for (int s = 0; s < 2; ++s) sweeps[s].rows(met[s], height, out);
+  for (int s = 0; s < 2; ++s) sweeps[s].second(met[s], out);
 }
 
 }  // namespace seepast

@@ -1,52 +1,85 @@
 // The inner loops of aggregate.cpp, which includes this once for every instruction set.
 //
-// Lanes: sixteen signed 16-bit numbers, as many as a chunk has candidates.
+// Lanes: sixteen signed 16-bit numbers, as many as a chunk has candidates. Wide: two chunks'.
 typedef int16_t Half __attribute__((vector_size(16), may_alias));
 typedef uint8_t Bytes __attribute__((vector_size(16), may_alias));
 
+inline Half least(Half a, Half b) { return a < b ? a : b; }
+
+template <class V>
+inline V load(const int16_t* from) {
+  V v;
+  __builtin_memcpy(&v, from, sizeof v);
+  return v;
+}
+template <class V>
+inline void store(int16_t* to, V v) {
+  __builtin_memcpy(to, &v, sizeof v);
+}
+template <class V>
+V splat(int16_t value);
+template <class V>
+V widened(const uint8_t* from);
+
+// Of every kind of vector: `after` and `before` move the lanes by one, with the last of the vector before, or the
+// first of the one after, in the free place; `lowest` has the lowest lane in all, which must be 0 or more;
+// `equal` has a bit per lane; the lanes that `store_bytes` takes are below 256.
 #ifdef SEEPAST_AVX2
 typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
-typedef uint8_t BytesTwice __attribute__((vector_size(32), may_alias));
 
-inline Lanes splat(int16_t value) {
-  const Lanes first = {value};
-  return __builtin_shufflevector(first, first, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0);
+template <>
+inline Lanes splat<Lanes>(int16_t value) {
+  return reinterpret_cast<Lanes>(_mm256_set1_epi16(value));
 }
-inline Lanes widened(const uint8_t* from) {
-  const Bytes zero = {};
-  Bytes b;
-  __builtin_memcpy(&b, from, sizeof b);
-  return reinterpret_cast<Lanes>(static_cast<BytesTwice>(
-      __builtin_shufflevector(b, zero, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23, 8, 24, 9, 25,
-                              10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)));
+template <>
+inline Lanes widened<Lanes>(const uint8_t* from) {
+  return reinterpret_cast<Lanes>(
+      _mm256_cvtepu8_epi16(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))));
 }
-inline Lanes lane_numbers() { return Lanes{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}; }
-template <class V>
-inline V least(V a, V b) {
-  return a < b ? a : b;
+inline Lanes least(Lanes a, Lanes b) { return a < b ? a : b; }
+inline Lanes after(Lanes before, Lanes here) {
+  return __builtin_shufflevector(before, here, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29,
+                                 30);
 }
-inline Lanes select_less(Lanes a, Lanes b, Lanes yes, Lanes no) { return a < b ? yes : no; }
-inline Lanes select_equal(Lanes a, Lanes b, Lanes yes, Lanes no) { return a == b ? yes : no; }
-inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
-inline Half folded(Lanes a) {
-  return lower_half(__builtin_shufflevector(a, a, 0, 1, 2, 3, 4, 5, 6, 7),
-                    __builtin_shufflevector(a, a, 8, 9, 10, 11, 12, 13, 14, 15));
+inline Lanes before(Lanes here, Lanes after) {
+  return __builtin_shufflevector(here, after, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16);
 }
+inline __m128i folded(Lanes a) {
+  const __m256i all = reinterpret_cast<__m256i>(a);
+  return _mm_minpos_epu16(_mm_min_epi16(_mm256_castsi256_si128(all), _mm256_extracti128_si256(all, 1)));
+}
+inline Lanes lowest(Lanes a) { return reinterpret_cast<Lanes>(_mm256_broadcastw_epi16(folded(a))); }
+inline uint32_t equal(Lanes a, Lanes b) {
+#ifdef SEEPAST_AVX512
+  return _mm256_cmpeq_epi16_mask(reinterpret_cast<__m256i>(a), reinterpret_cast<__m256i>(b));
+#else
+  const __m256i same = reinterpret_cast<__m256i>(a == b);
+  return static_cast<uint32_t>(_mm_movemask_epi8(
+      _mm_packs_epi16(_mm256_castsi256_si128(same), _mm256_extracti128_si256(same, 1))));
+#endif
+}
+inline void store_bytes(uint8_t* to, Lanes v) {
+  const __m256i all = reinterpret_cast<__m256i>(v);
+  _mm_storeu_si128(reinterpret_cast<__m128i*>(to),
+                   _mm_packus_epi16(_mm256_castsi256_si128(all), _mm256_extracti128_si256(all, 1)));
+}
+inline int16_t first_lane(Lanes v) { return v[0]; }
 #else
 // Where nothing is as wide, two halves: the compiler would take them to pieces.
 struct Lanes {
   Half a, b;
-  Lanes& operator+=(Lanes o) { return *this = {a + o.a, b + o.b}; }
-  Lanes& operator-=(Lanes o) { return *this = {a - o.a, b - o.b}; }
-  int16_t operator[](int i) const { return i < 8 ? a[i] : b[i - 8]; }
 };
-inline Lanes operator+(Lanes a, Lanes b) { return a += b; }
-inline Lanes operator-(Lanes a, Lanes b) { return a -= b; }
-inline Lanes splat(int16_t value) {
+inline Lanes operator+(Lanes a, Lanes b) { return {a.a + b.a, a.b + b.b}; }
+inline Lanes operator-(Lanes a, Lanes b) { return {a.a - b.a, a.b - b.b}; }
+inline Lanes operator<<(Lanes a, int by) { return {a.a << by, a.b << by}; }
+
+template <>
+inline Lanes splat<Lanes>(int16_t value) {
   const Half h = {value, value, value, value, value, value, value, value};
   return {h, h};
 }
-inline Lanes widened(const uint8_t* from) {
+template <>
+inline Lanes widened<Lanes>(const uint8_t* from) {
   const Bytes zero = {};
   Bytes b;
   __builtin_memcpy(&b, from, sizeof b);
@@ -55,266 +88,577 @@ inline Lanes widened(const uint8_t* from) {
           reinterpret_cast<Half>(static_cast<Bytes>(__builtin_shufflevector(
               b, zero, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31)))};
 }
-inline Lanes lane_numbers() { return {Half{0, 1, 2, 3, 4, 5, 6, 7}, Half{8, 9, 10, 11, 12, 13, 14, 15}}; }
-inline Half lower_half(Half a, Half b) { return a < b ? a : b; }
-inline Lanes least(Lanes a, Lanes b) { return {lower_half(a.a, b.a), lower_half(a.b, b.b)}; }
-inline Lanes select_less(Lanes a, Lanes b, Lanes yes, Lanes no) {
-  return {a.a < b.a ? yes.a : no.a, a.b < b.b ? yes.b : no.b};
+inline Lanes least(Lanes a, Lanes b) { return {least(a.a, b.a), least(a.b, b.b)}; }
+inline Half shifted(Half low, Half high) {  // the last lane of low and all but the last of high
+  return __builtin_shufflevector(low, high, 7, 8, 9, 10, 11, 12, 13, 14);
 }
-inline Lanes select_equal(Lanes a, Lanes b, Lanes yes, Lanes no) {
-  return {a.a == b.a ? yes.a : no.a, a.b == b.b ? yes.b : no.b};
+inline Half shifted_down(Half low, Half high) {
+  return __builtin_shufflevector(low, high, 1, 2, 3, 4, 5, 6, 7, 8);
 }
-inline Half folded(Lanes a) { return lower_half(a.a, a.b); }
+inline Lanes after(Lanes before, Lanes here) { return {shifted(before.b, here.a), shifted(here.a, here.b)}; }
+inline Lanes before(Lanes here, Lanes after) {
+  return {shifted_down(here.a, here.b), shifted_down(here.b, after.a)};
+}
+inline Lanes lowest(Lanes a) {
+  Half h = least(a.a, a.b);
+  h = least(h, __builtin_shufflevector(h, h, 4, 5, 6, 7, 0, 1, 2, 3));
+  h = least(h, __builtin_shufflevector(h, h, 2, 3, 0, 1, 6, 7, 4, 5));
+  h = least(h, __builtin_shufflevector(h, h, 1, 0, 3, 2, 5, 4, 7, 6));
+  return {h, h};
+}
+inline Bytes packed(Lanes a) {
+#if defined(__SSE2__)
+  return reinterpret_cast<Bytes>(_mm_packus_epi16(reinterpret_cast<__m128i>(a.a), reinterpret_cast<__m128i>(a.b)));
+#else
+  return __builtin_shufflevector(reinterpret_cast<Bytes>(a.a), reinterpret_cast<Bytes>(a.b), 0, 2, 4, 6, 8,
+                                 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+#endif
+}
+inline uint32_t equal(Lanes a, Lanes b) {
+  const Half one = {1, 1, 1, 1, 1, 1, 1, 1};
+  const Bytes same = packed({(a.a == b.a) & one, (a.b == b.b) & one});
+  uint64_t halves[2];
+  __builtin_memcpy(halves, &same, sizeof halves);
+  constexpr uint64_t gather = 0x0102040810204080;  // bit 8 i goes to bit 56 + i
+  return static_cast<uint32_t>(halves[0] * gather >> 56 | halves[1] * gather >> 56 << 8);
+}
+inline void store_bytes(uint8_t* to, Lanes v) {
+  const Bytes b = packed(v);
+  __builtin_memcpy(to, &b, sizeof b);
+}
+inline int16_t first_lane(Lanes v) { return v.a[0]; }
+#endif
+
+#ifdef SEEPAST_AVX512
+typedef int16_t Wide __attribute__((vector_size(64), may_alias));
+
+template <>
+inline Wide splat<Wide>(int16_t value) {
+  return reinterpret_cast<Wide>(_mm512_set1_epi16(value));
+}
+template <>
+inline Wide widened<Wide>(const uint8_t* from) {
+  return reinterpret_cast<Wide>(
+      _mm512_cvtepu8_epi16(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(from))));
+}
+inline Wide least(Wide a, Wide b) { return a < b ? a : b; }
+inline Wide after(Wide before, Wide here) {
+  const Wide place = {31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46,
+                      47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62};
+  return reinterpret_cast<Wide>(_mm512_permutex2var_epi16(
+      reinterpret_cast<__m512i>(before), reinterpret_cast<__m512i>(place), reinterpret_cast<__m512i>(here)));
+}
+inline Wide before(Wide here, Wide after) {
+  const Wide place = {1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16,
+                      17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32};
+  return reinterpret_cast<Wide>(_mm512_permutex2var_epi16(
+      reinterpret_cast<__m512i>(here), reinterpret_cast<__m512i>(place), reinterpret_cast<__m512i>(after)));
+}
+inline Wide lowest(Wide a) {
+  const __m512i all = reinterpret_cast<__m512i>(a);
+  const Lanes half = least(reinterpret_cast<Lanes>(_mm512_castsi512_si256(all)),
+                           reinterpret_cast<Lanes>(_mm512_extracti64x4_epi64(all, 1)));
+  return reinterpret_cast<Wide>(_mm512_broadcastw_epi16(folded(half)));
+}
+inline uint32_t equal(Wide a, Wide b) {
+  return _mm512_cmpeq_epi16_mask(reinterpret_cast<__m512i>(a), reinterpret_cast<__m512i>(b));
+}
+inline void store_bytes(uint8_t* to, Wide v) {
+  _mm256_storeu_si256(reinterpret_cast<__m256i*>(to), _mm512_cvtepi16_epi8(reinterpret_cast<__m512i>(v)));
+}
+inline int16_t first_lane(Wide v) { return v[0]; }
 #endif
 
 template <class V>
-inline V load_as(const int16_t* from) {
-  V v;
-  __builtin_memcpy(&v, from, sizeof v);
-  return v;
-}
-template <class V>
-inline void store_as(int16_t* to, V v) {
-  __builtin_memcpy(to, &v, sizeof v);
-}
-inline Lanes load(const int16_t* from) { return load_as<Lanes>(from); }
-inline void store(int16_t* to, Lanes v) { store_as(to, v); }
+constexpr int kLanes = sizeof(V) / sizeof(int16_t);
 
 // The lower of the entries one before and one after each.
 template <class V>
 inline V least_beside(const int16_t* b) {
-  return least(load_as<V>(b - 1), load_as<V>(b + 1));
-}
-
-#ifdef SEEPAST_AVX2
-// The same of entries that have just been written: a load that spans two stores would wait for both.
-inline Lanes least_beside_fresh(const int16_t* b) {
-  const __m256i before = reinterpret_cast<__m256i>(load(b - kChunk)),
-                here = reinterpret_cast<__m256i>(load(b)),
-                after = reinterpret_cast<__m256i>(load(b + kChunk));
-  const __m256i up = _mm256_alignr_epi8(here, _mm256_permute2x128_si256(before, here, 0x21), 14);
-  const __m256i down = _mm256_alignr_epi8(_mm256_permute2x128_si256(here, after, 0x21), here, 2);
-  return least(reinterpret_cast<Lanes>(up), reinterpret_cast<Lanes>(down));
-}
-#else
-inline Lanes least_beside_fresh(const int16_t* b) { return least_beside<Lanes>(b); }
-#endif
-
-#ifdef SEEPAST_AVX512
-// Two chunks that follow each other are one step of twice the width.
-typedef int16_t Wide __attribute__((vector_size(64), may_alias));
-
-inline Wide doubled(Lanes low, Lanes high) {
-  return reinterpret_cast<Wide>(_mm512_inserti64x4(_mm512_castsi256_si512(reinterpret_cast<__m256i>(low)),
-                                                   reinterpret_cast<__m256i>(high), 1));
-}
-inline Lanes lower(Wide a) {
-  return reinterpret_cast<Lanes>(_mm512_castsi512_si256(reinterpret_cast<__m512i>(a)));
-}
-inline Lanes upper(Wide a) {
-  return reinterpret_cast<Lanes>(_mm512_extracti64x4_epi64(reinterpret_cast<__m512i>(a), 1));
-}
-inline Wide widened_twice(const uint8_t* from) {
-  return reinterpret_cast<Wide>(
-      _mm512_cvtepu8_epi16(_mm256_loadu_si256(reinterpret_cast<const __m256i*>(from))));
-}
-inline Wide least_beside_fresh_twice(const int16_t* b) {
-  const __m512i here = reinterpret_cast<__m512i>(doubled(load(b), load(b + kChunk)));
-  const Wide n = {0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15,
-                  16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31};
-  const __m512i up = _mm512_mask_permutexvar_epi16(_mm512_set1_epi16(b[-1]), 0xfffffffe,
-                                                   reinterpret_cast<__m512i>(n - 1), here);
-  const __m512i down = _mm512_mask_permutexvar_epi16(_mm512_set1_epi16(b[2 * kChunk]), 0x7fffffff,
-                                                     reinterpret_cast<__m512i>(n + 1), here);
-  return least(reinterpret_cast<Wide>(up), reinterpret_cast<Wide>(down));
-}
-#endif
-
-inline Half interleaved(Half a, Half b) {
-  return lower_half(__builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11),
-                    __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15));
-}
-// Lowest lane of each: `lowest` [4], and that of a in all lanes. All are 0 or more.
-inline Lanes lowest_of_four(Lanes a, Lanes b, Lanes c, Lanes d, int16_t* lowest) {
-#ifdef SEEPAST_AVX2
-  const Half all[4] = {folded(a), folded(b), folded(c), folded(d)};
-  for (int i = 0; i < 4; ++i)
-    lowest[i] = static_cast<int16_t>(_mm_cvtsi128_si32(_mm_minpos_epu16(reinterpret_cast<__m128i>(all[i]))));
-  return reinterpret_cast<Lanes>(
-      _mm256_broadcastw_epi16(_mm_minpos_epu16(reinterpret_cast<__m128i>(all[0]))));
-#else
-  Half t =
-      interleaved(interleaved(folded(a), folded(c)), interleaved(folded(b), folded(d)));  // a b c d a b c d
-  t = lower_half(t, __builtin_shufflevector(t, t, 4, 5, 6, 7, 0, 1, 2, 3));
-  for (int i = 0; i < 4; ++i) lowest[i] = t[i];
-  return splat(t[0]);
-#endif
-}
-inline Lanes lowest_of(Lanes a) {
-  int16_t lowest[4];
-  return lowest_of_four(a, a, a, a, lowest);
+  return least(load<V>(b - 1), load<V>(b + 1));
 }
 
 inline void clear(int16_t* entries, uint64_t chunks) {
   for (; chunks; chunks &= chunks - 1)
-    std::fill_n(entries + __builtin_ctzll(chunks) * kChunk, kChunk, kBeyond);
+    store(entries + __builtin_ctzll(chunks) * kChunk, splat<Lanes>(kBeyond));
 }
 
-// First lowest sum of a pixel, and those beside it; `first` numbers the first lane of the chunk that each
-// lane of `lowest` comes from.
-inline void pick(const int16_t* total, Lanes lowest, Lanes first, Pick* to) {
-  const Lanes place = first + lane_numbers();
-  const int best = lowest_of(select_equal(lowest, lowest_of(lowest), place, splat(32767)))[0];
-  *to = {static_cast<int16_t>(best), total[best - 1], total[best], total[best + 1]};
+// From x on, to before `end`: the first column that is not active at these chunks.
+inline int same_until(const uint64_t* active, int x, int end, uint64_t chunks) {
+#if defined(SEEPAST_AVX512)
+  const __m512i all = _mm512_set1_epi64(static_cast<int64_t>(chunks));
+  for (; x + 8 <= end; x += 8)
+    if (const unsigned other = _mm512_cmpneq_epi64_mask(all, _mm512_loadu_si512(active + x)))
+      return x + __builtin_ctz(other);
+#elif defined(SEEPAST_AVX2)
+  const __m256i all = _mm256_set1_epi64x(static_cast<int64_t>(chunks));
+  for (; x + 4 <= end; x += 4) {
+    const __m256i same =
+        _mm256_cmpeq_epi64(all, _mm256_loadu_si256(reinterpret_cast<const __m256i*>(active + x)));
+    if (const int bits = _mm256_movemask_pd(_mm256_castsi256_pd(same)); bits != 15)
+      return x + __builtin_ctz(~bits);
+  }
+#endif
+  while (x < end && active[x] == chunks) ++x;
+  return x;
+}
+
+// Calls use.template operator()<V, N>(first) for the chunks of a pixel that are N times those of a V, one after
+// another, or any() where they are not.
+template <class Use, class Any>
+inline void by_chunks(uint64_t active, Use use, Any any) {
+  const int first = __builtin_ctzll(active) * kChunk;
+  switch (active >> __builtin_ctzll(active)) {
+    case 1: return use.template operator()<Lanes, 1>(first);
+    case 7: return use.template operator()<Lanes, 3>(first);
+    case 31: return use.template operator()<Lanes, 5>(first);
+#ifdef SEEPAST_AVX512
+    case 3: return use.template operator()<Wide, 1>(first);
+    case 15: return use.template operator()<Wide, 2>(first);
+#else
+    case 3: return use.template operator()<Lanes, 2>(first);
+    case 15: return use.template operator()<Lanes, 4>(first);
+#endif
+    default: return any();
+  }
+}
+
+// ------------------------------------------------------------------------------------------ along the rows
+
+// The path along R rows at once from x on, `count` pixels that all are active at the N kLanes<V> candidates
+// from `first` on. One row alone would wait for itself.
+template <class V, int N, int R, bool kAdd>
+inline void along_run(Line* rows, int x, int count, int direction, int first, int16_t small) {
+  const V step = splat<V>(small), beyond = splat<V>(kBeyond);
+  constexpr int L = kLanes<V>;
+  const uint8_t* const costs = rows[0].costs;
+  int16_t* const sums = rows[0].sums;
+  const int32_t* start[R];
+  const int16_t* large[R];
+  V here[R][N], beside[R][N], low[R];
+  for (int r = 0; r < R; ++r) {
+    start[r] = rows[r].start, large[r] = rows[r].large;
+    const int16_t* from = rows[r].entries + first;
+    for (int i = 0; i < N; ++i) here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
+    low[r] = splat<V>(rows[r].low);
+    clear(rows[r].entries, rows[r].held);
+  }
+  for (;; x += direction) {
+    for (int r = 0; r < R; ++r) {
+      const ptrdiff_t at = static_cast<ptrdiff_t>(start[r][x]) * kChunk;
+      const V far = low[r] + splat<V>(large[r][x]);
+      V minimum;
+      for (int i = 0; i < N; ++i) {
+        const V way = least(least(here[r][i], far), beside[r][i] + step) - low[r];
+        int16_t* sum = sums + at + i * L;
+        store(sum, kAdd ? load<V>(sum) + way : way);
+        here[r][i] = way + widened<V>(costs + at + i * L);
+        minimum = i ? least(minimum, here[r][i]) : here[r][i];
+      }
+      low[r] = lowest(minimum);
+    }
+    if (!--count) break;
+    for (int r = 0; r < R; ++r)
+      for (int i = 0; i < N; ++i)
+        beside[r][i] = least(after(i ? here[r][i - 1] : beyond, here[r][i]),
+                             before(here[r][i], i + 1 < N ? here[r][i + 1] : beyond));
+  }
+  for (int r = 0; r < R; ++r) {
+    for (int i = 0; i < N; ++i) store(rows[r].entries + first + i * L, here[r][i]);
+    rows[r].low = first_lane(low[r]);
+    rows[r].held = rows[r].active[x];
+  }
+}
+
+// Path costs of the chunks `active`, above their lowest, from those before, over them: sums are set or added to.
+template <bool kAdd>
+inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t large, int16_t small,
+                     const uint8_t* cost, int16_t* sum) {
+  alignas(64) int16_t ways[kMostChunks * kChunk];
+  const Lanes far = splat<Lanes>(large), step = splat<Lanes>(small);
+  int16_t* way = ways;
+  for (uint64_t rest = active; rest; rest &= rest - 1, way += kChunk) {
+    const int16_t* from = entries + __builtin_ctzll(rest) * kChunk;
+    store(way, least(least(load<Lanes>(from), far), least_beside<Lanes>(from) + step));
+  }
+  clear(entries, held & ~active);
+  Lanes minimum = splat<Lanes>(kBeyond);
+  way = ways;
+  for (uint64_t rest = active; rest; rest &= rest - 1, way += kChunk, cost += kChunk, sum += kChunk) {
+    const Lanes w = load<Lanes>(way), here = w + widened<Lanes>(cost);
+    store(sum, kAdd ? load<Lanes>(sum) + w : w);
+    store(way, here);
+    minimum = least(minimum, here);
+  }
+  minimum = lowest(minimum);
+  way = ways;
+  for (uint64_t rest = active; rest; rest &= rest - 1, way += kChunk)
+    store(entries + __builtin_ctzll(rest) * kChunk, load<Lanes>(way) - minimum);
+}
+
+template <bool kAdd>
+void along_any(Line& row, int x, int count, int direction, int16_t small) {
+  for (uint64_t rest = row.held; rest; rest &= rest - 1) {
+    int16_t* e = row.entries + __builtin_ctzll(rest) * kChunk;
+    store(e, load<Lanes>(e) - splat<Lanes>(row.low));
+  }
+  row.low = 0;
+  for (; count; --count, x += direction) {
+    const ptrdiff_t at = static_cast<ptrdiff_t>(row.start[x]) * kChunk;
+    step_any<kAdd>(row.entries, row.held, row.active[x], row.large[x], small, row.costs + at, row.sums + at);
+    row.held = row.active[x];
+  }
+}
+
+// The path ends here.
+inline void leave(Line& row) {
+  clear(row.entries, row.held);
+  row.held = 0;
+}
+
+// The path along R rows in the columns [from, end), whose chunks are the same in all.
+template <int R, bool kAdd>
+inline void along_same(Line* rows, int from, int end, int16_t small) {
+  const uint64_t active = rows[0].active[from];
+  const int count = end - from, direction = kAdd ? -1 : 1, x = kAdd ? end - 1 : from;
+  if (!active) {
+    for (int r = 0; r < R; ++r) leave(rows[r]);
+    return;
+  }
+  by_chunks(
+      active,
+      [&]<class V, int N>(int first) { along_run<V, N, R, kAdd>(rows, x, count, direction, first, small); },
+      [&] {
+        for (int r = 0; r < R; ++r) along_any<kAdd>(rows[r], x, count, direction, small);
+      });
+}
+
+// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how many.
+template <int R>
+int split(const Line* rows, int x, int end, Run* runs) {
+  const auto alike = [&](int at) {
+    bool same = true;
+    for (int r = 1; r < R; ++r) same &= rows[r].active[at] == rows[0].active[at];
+    return same;
+  };
+  int n = 0;
+  while (x < end) {
+    const int from = x;
+    const bool same = alike(x);
+    if (same) {
+      const uint64_t active = rows[0].active[from];
+      x = end;
+      for (int r = 0; r < R; ++r) x = same_until(rows[r].active, from, x, active);
+    } else {
+      while (++x < end && !alike(x)) {}
+    }
+    runs[n++] = {from, x, same};
+  }
+  return n;
+}
+
+// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows are not
+// alike, in twos or one by one.
+template <int R, bool kAdd>
+void along(Line* rows, int from, int end, Run* runs, int16_t small) {
+  const int n = split<R>(rows, from, end, runs);
+  for (int i = 0; i < n; ++i) {
+    const Run run = runs[kAdd ? n - 1 - i : i];
+    if (run.same) {
+      along_same<R, kAdd>(rows, run.from, run.end, small);
+    } else if constexpr (R > 1) {
+      along<R / 2, kAdd>(rows, run.from, run.end, runs + n, small);
+      along<R / 2, kAdd>(rows + R / 2, run.from, run.end, runs + n, small);
+    }
+  }
+}
+
+template <int R>
+void along_both_ways(Line* rows, int width, Run* runs, int16_t small) {
+  along<R, false>(rows, 0, width, runs, small);
+  for (int r = 0; r < R; ++r) {
+    leave(rows[r]);
+    ++rows[r].large;
+  }
+  along<R, true>(rows, 0, width, runs, small);
+  for (int r = 0; r < R; ++r) leave(rows[r]);
+}
+
+void along_rows(Line* rows, int count, int width, Run* runs, int16_t small) {
+  if (count == kRows) return along_both_ways<kRows>(rows, width, runs, small);
+  for (int r = 0; r < count; ++r) along_both_ways<1>(rows + r, width, runs, small);
+}
+
+// ---------------------------------------------------------------------------------------- from row to row
+
+template <class V>
+inline void save(uint8_t* to, V v) {
+  store_bytes(to, v);
+}
+template <class V>
+inline void save(int16_t* to, V v) {
+  store(to, v);
+}
+template <class V>
+inline V saved(const uint8_t* from) {
+  return widened<V>(from);
+}
+template <class V>
+inline V saved(const int16_t* from) {
+  return load<V>(from);
+}
+
+// The paths from row to row into the columns from x to before `end`, all active at the N kLanes<V> candidates
+// from `first` on.
+template <class V, int N, int P, class Saved, bool kLast>
+inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
+  constexpr int L = kLanes<V>;
+  const V step = splat<V>(r.small);
+  const uint8_t* const costs = r.costs;
+  const int32_t* const start = r.start;
+  int16_t* const along = r.along;
+  const ptrdiff_t pitch = r.pitch;
+  const int16_t* large[P];
+  int16_t* entries[P];
+  for (int p = 0; p < P; ++p) entries[p] = r.entries[p] + x * pitch + first, large[p] = r.large[p];
+  for (; x < end; ++x) {
+    const ptrdiff_t at = static_cast<ptrdiff_t>(start[x]) * kChunk;
+    V total[N], cost[N];
+    for (int i = 0; i < N; ++i) cost[i] = widened<V>(costs + at + i * L);
+    for (int p = 0; p < P; ++p) {
+      int16_t* e = entries[p];
+      const V far = splat<V>(large[p][x]);
+      V here[N], minimum;
+      for (int i = 0; i < N; ++i) {
+        const V way = least(least(load<V>(e + i * L), far), least_beside<V>(e + i * L) + step);
+        total[i] = p ? total[i] + way : way;
+        here[i] = way + cost[i];
+        minimum = i ? least(minimum, here[i]) : here[i];
+      }
+      minimum = lowest(minimum);
+      for (int i = 0; i < N; ++i) store(e + i * L, here[i] - minimum);
+      entries[p] += pitch;
+    }
+    for (int i = 0; i < N; ++i) {
+      if constexpr (kLast)
+        store(along + at + i * L, total[i] + load<V>(along + at + i * L) + (cost[i] << (P == 1 ? 2 : 3)) +
+                                      saved<V>(to + at + i * L));
+      else
+        save(to + at + i * L, total[i]);
+    }
+  }
+}
+
+// The same for any chunks.
+template <int P, class Saved, bool kLast>
+void down_any(const Row& r, Saved* to, int x, int end) {
+  alignas(64) int16_t total[kMostChunks * kChunk];
+  for (; x < end; ++x) {
+    ptrdiff_t at = static_cast<ptrdiff_t>(r.start[x]) * kChunk;
+    const uint64_t active = r.active[x];
+    for (int p = 0; p < P; ++p) {
+      const auto step = p ? step_any<true> : step_any<false>;
+      step(r.entries[p] + x * r.pitch, 0, active, r.large[p][x], r.small, r.costs + at, total);
+    }
+    const int16_t* sum = total;
+    for (uint64_t rest = active; rest; rest &= rest - 1, sum += kChunk, at += kChunk) {
+      const Lanes t = load<Lanes>(sum);
+      if constexpr (kLast)
+        store(r.along + at, t + load<Lanes>(r.along + at) + (widened<Lanes>(r.costs + at) << (P == 1 ? 2 : 3)) +
+                                saved<Lanes>(to + at));
+      else
+        save(to + at, t);
+    }
+  }
+}
+
+// First lowest sum of every pixel and those beside it.
+template <class V, int N>
+inline void pick_run(const Row& r, int x, int end, int first) {
+  constexpr int L = kLanes<V>;
+  const int16_t* const along = r.along;
+  const int32_t* const start = r.start;
+  Pick* const picks = r.picks;
+  for (; x < end; ++x) {
+    const int16_t* sums = along + static_cast<ptrdiff_t>(start[x]) * kChunk;
+    V sum[N], minimum;
+    for (int i = 0; i < N; ++i) {
+      sum[i] = load<V>(sums + i * L);
+      minimum = i ? least(minimum, sum[i]) : sum[i];
+    }
+    minimum = lowest(minimum);
+    int best = (N - 1) * L + __builtin_ctz(equal(sum[N - 1], minimum) | 1u << 31);
+    for (int i = N - 1; i--;)
+      if (const uint32_t same = equal(sum[i], minimum)) best = i * L + __builtin_ctz(same);
+    Pick* const to = picks + x;
+    __builtin_memcpy(to, sums + best - 1, sizeof *to);
+    to->best = static_cast<int16_t>(first + best);
+    if (best == 0 || best == N * L - 1) to->left = kNone;
+  }
+}
+
+inline void pick_any(const Row& r, int x, int end) {
+  for (; x < end; ++x) {
+    const int16_t* sums = r.along + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
+    const uint64_t active = r.active[x];
+    int best = 0, at = 0, place = 0;
+    for (uint64_t rest = active; rest; rest &= rest - 1, at += kChunk) {
+      const Lanes sum = load<Lanes>(sums + at), low = lowest(sum);
+      if (at && first_lane(low) >= sums[best]) continue;
+      best = at + __builtin_ctz(equal(sum, low));
+      place = best - at + __builtin_ctzll(rest) * kChunk;
+    }
+    const bool inner = place > 0 && place + 1 < kMostChunks * kChunk && (active >> (place - 1) / kChunk & 1) &&
+                       (active >> (place + 1) / kChunk & 1);
+    r.picks[x] = {inner ? sums[best - 1] : kNone, sums[best], sums[best + 1], static_cast<int16_t>(place)};
+  }
+}
+
+// What the paths held at chunks where this row is not active, so that it does not reach beyond it.
+template <int P>
+void forget(const Row& r) {
+  if (!r.before) return;
+  for (int p = 0; p < P; ++p) {
+    const int dx = P == 1 ? 0 : r.dx[p];
+    const int from = std::max(0, -dx), to = r.width - std::max(0, dx);
+    const uint64_t *was = r.before, *is = r.active + dx;
+    for (int x = from; x < to; x += 16) {
+      const int end = std::min(x + 16, to);
+      uint64_t any = 0;
+      for (int i = x; i < end; ++i) any |= was[i] & ~is[i];
+      if (any)
+        for (int i = x; i < end; ++i) clear(r.entries[p] + (i + dx) * r.pitch, was[i] & ~is[i]);
+    }
+  }
 }
 
 // Candidates of a row, moved to the vertex of the parabola through three sums where all are active: 32nds of
 // a pixel.
-void places(const Row& r) {
-  const int half = kUnits / 16 * r.grid.step;
-  for (int x = 0; x < r.width; ++x) {
-    const Pick p = r.picks[x];
-    const int before = p.best - 1, after = p.best + 1, bend = p.left + p.right - 2 * p.lowest;
-    const bool inner = p.best > 0 && after < r.grid.count &&
-                       (r.active[x] >> before / kChunk & r.active[x] >> after / kChunk & 1);
-    int place = kUnits / 8 * (r.grid.first + r.grid.step * p.best);
-    if (inner && bend > 0) place += (2 * half * (p.left - p.right + bend) + bend) / (2 * bend) - half;
-    r.out[x] = static_cast<uint16_t>(place);
+inline void places(const Row& r, int from, int to) {
+  const Pick* const picks = r.picks;
+  uint16_t* const out = r.out;
+  const int half = kUnits / 16 * r.grid.step, step = kUnits / 8 * r.grid.step,
+            start = kUnits / 8 * r.grid.first - half;
+#pragma GCC ivdep
+  for (int x = from; x < to; ++x) {
+    const int left = picks[x].left, right = picks[x].right, lowest = picks[x].lowest;
+    const int bend = left + right - 2 * lowest;
+    // floor(half (left - right) / bend + 1/2) + half; a quotient of such numbers is never rounded up to a whole
+    const double whole = bend > 0 ? 4 * half * (left - lowest) + bend : 2 * half + 1;
+    const double by = bend > 0 ? 2 * bend : 2;
+    out[x] = static_cast<uint16_t>(start + step * picks[x].best + static_cast<int>(whole / by));
   }
 }
 
-// Path costs are kept above their lowest by what has gathered on the path; rarely that is taken away, so that
-// they stay far below kBeyond. Also what makes paths begin anew behind a pixel that is not matched.
-__attribute__((noinline)) void settle(int16_t* entries, uint64_t active, int16_t* lowest) {
-  for (; active; active &= active - 1) {
-    int16_t* e = entries + __builtin_ctzll(active) * kChunk;
-    store(e, load(e) - splat(*lowest));
+// The runs of columns that are active, and at the same chunks.
+inline int runs_of(const Row& r, Run* runs) {
+  int n = 0;
+  for (int x = 0; x < r.width;) {
+    const int from = x;
+    const uint64_t active = r.active[x];
+    x = same_until(r.active, x, r.width, active);
+    if (active) runs[n++] = {from, x, true};
   }
-  *lowest = 0;
+  return n;
 }
 
-// All paths into one pixel, of one chunk, or two: what they cost together. Lowers `minimum`.
-template <int kVertical, class V>
-inline __attribute__((always_inline)) V step_into(ptrdiff_t before_path, ptrdiff_t path, V c, V small,
-                                                  const V* far, V* minimum, const int16_t* from, int16_t* to,
-                                                  V along, V beside_along, int16_t* along_to) {
-  V total = {};
-  for (int p = 0; p < kVertical; ++p) {
-    const int16_t* b = from + p * before_path;
-    const V v = least(least(load_as<V>(b), far[p]), least_beside<V>(b) + small) + c;
-    store_as(to + p * path, v);
-    minimum[p] = least(minimum[p], v);
-    total += v;
+template <int P, class Saved, bool kLast>
+void down(const Row& r, Saved* to) {
+  const int count = runs_of(r, r.runs);
+  const Run* const end = r.runs + count;
+  for (const Run* run = r.runs; run != end; ++run)
+    by_chunks(
+        r.active[run->from],
+        [&]<class V, int N>(int first) { down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first); },
+        [&] { down_any<P, Saved, kLast>(r, to, run->from, run->end); });
+  forget<P>(r);
+  if (!kLast) return;
+  for (const Run* run = r.runs; run != end; ++run)
+    by_chunks(
+        r.active[run->from],
+        [&]<class V, int N>(int first) { pick_run<V, N>(r, run->from, run->end, first); },
+        [&] { pick_any(r, run->from, run->end); });
+  for (const Run* run = r.runs; run != end;) {
+    const int from = run->from;
+    int until = run->end;
+    while (++run != end && run->from == until) until = run->end;
+    places(r, from, until);
   }
-  const V v = least(least(along, far[kVertical]), beside_along + small) + c;
-  store_as(along_to, v);
-  minimum[kVertical] = least(minimum[kVertical], v);
-  return total + v;
 }
 
-template <int kVertical, bool kLast>
-void steps_of_row(const Row& r) {
-  const Lanes small = splat(static_cast<int16_t>(r.small));
-  const int direction = r.direction, width = r.width;
-  const ptrdiff_t before_path = r.before_path, before_pitch = r.before_pitch, path = r.path, pitch = r.pitch;
-  alignas(64) int16_t last[64 * kChunk + 2 * kGuard] = {};
-  const int16_t* along = r.outside;
-  int16_t *along_to = r.beside, *along_next = r.beside + pitch;
-  uint64_t held = 0, held_next = 0;  // chunks written there
-  std::fill_n(r.beside, 2 * pitch, kBeyond);
-  Lanes along_low = splat(0);
-  int x = direction > 0 ? 0 : width - 1;
-  for (int i = 0; i < width; ++i, x += direction) {
-    uint64_t active = r.active[x];
-    const uint64_t all = active;
-    const int16_t* from = r.before + x * before_pitch;
-    int16_t* to = r.to + x * pitch;
-    if (const uint64_t stale = held & ~all) clear(along_to, stale);
-    if (r.active_stale)
-      if (const uint64_t stale = r.active_stale[x] & ~all)
-        for (int p = 0; p < kVertical; ++p) clear(to + p * path, stale);
-    Lanes far[kVertical + 1], minimum[kVertical + 1];
-    Lanes total_low = along_low;
-    for (int p = 0; p < kVertical; ++p) {
-      const Lanes low = splat(r.before_low[p][x]);
-      total_low += low;
-      far[p] = low + splat(r.large[p][x]);
-      minimum[p] = splat(kBeyond);
-    }
-    far[kVertical] = along_low + splat(r.large[kVertical][x]);
-    minimum[kVertical] = splat(kBeyond);
+template <int P, class Saved>
+void down(const Row& r, Saved* to) {
+  r.out ? down<P, Saved, true>(r, to) : down<P, Saved, false>(r, to);
+}
 
-    const size_t first = static_cast<size_t>(r.start[x]) * kChunk;
-    const uint8_t* cost = r.costs + first;
-    int16_t* sum = r.sums + first;
-    Lanes lowest_total = splat(32767), lowest_first = splat(0);
-    const auto keep = [&](Lanes total, size_t at) __attribute__((always_inline)) {
-      total -= total_low;
-      if (kLast) {
-        total += load(sum);
-        store(last + kGuard + at, total);
-        lowest_first = select_less(total, lowest_total, splat(static_cast<int16_t>(at)), lowest_first);
-        lowest_total = least(lowest_total, total);
-      } else {
-        store(sum, total);
-      }
-      cost += kChunk;
-      sum += kChunk;
+void down_row(const Row& r, bool eight) {
+  if (eight)
+    down<3>(r, r.saved);
+  else if (r.saved_bytes)
+    down<1>(r, r.saved_bytes);
+  else
+    down<1>(r, r.saved);
+}
+
+
+// ----------------------------------------------------------------------------------------------- penalties
+
+#ifdef SEEPAST_AVX2
+// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a block: no
+// byte behind them is read.
+inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
+  const int second = late ? 8 : 12;
+  const auto load = [&](const uint8_t* from) {
+    return _mm256_inserti128_si256(
+        _mm256_castsi128_si256(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))),
+        _mm_loadu_si128(reinterpret_cast<const __m128i*>(from + second)), 1);
+  };
+  const __m256i m = load(a), n = load(b), step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
+  const char k = late ? 4 : 0;
+  const __m256i place = _mm256_setr_epi8(
+      0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3, k + 4, k + 5, -1, k + 6,
+      k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
+  const __m256i parts = _mm256_shuffle_epi8(step, place);
+  return _mm256_madd_epi16(_mm256_maddubs_epi16(parts, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
+}
+#endif
+
+// P2 between kBlockOfSteps pixels and the others, which are `other` from them.
+inline void step_block(const uint8_t* image, const uint8_t* is_static, ptrdiff_t other, const Large& large,
+                       int16_t* out) {
+#ifdef SEEPAST_AVX2
+  alignas(32) int32_t step[kBlockOfSteps];
+  for (int i = 0; i < kBlockOfSteps; i += 8) {
+    const __m256i sums = colour_steps(image + 3 * i, image + 3 * (i + other), i + 8 == kBlockOfSteps);
+    const auto flags = [&](ptrdiff_t at) {
+      return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(is_static + i + at)));
     };
-#ifdef SEEPAST_AVX512
-    const Wide wide_small = doubled(small, small);
-    Wide wide_far[kVertical + 1], wide_minimum[kVertical + 1];
-    for (int p = 0; p <= kVertical; ++p)
-      wide_far[p] = doubled(far[p], far[p]), wide_minimum[p] = doubled(minimum[p], minimum[p]);
-#endif
-    while (active) {
-      const size_t at = static_cast<size_t>(__builtin_ctzll(active)) * kChunk;
-      const uint64_t rest = active & (active - 1);
-#ifdef SEEPAST_AVX512
-      if (active & (active ^ rest) << 1) {
-        const Wide here = doubled(load(along + at), load(along + at + kChunk));
-        const Wide total = step_into<kVertical>(before_path, path, widened_twice(cost), wide_small, wide_far,
-                                                wide_minimum, from + at, to + at, here,
-                                                least_beside_fresh_twice(along + at), along_to + at);
-        keep(lower(total), at);
-        keep(upper(total), at + kChunk);
-        active = rest & (rest - 1);
-        continue;
-      }
-#endif
-      keep(step_into<kVertical>(before_path, path, widened(cost), small, far, minimum, from + at, to + at,
-                                load(along + at), least_beside_fresh(along + at), along_to + at),
-           at);
-      active = rest;
-    }
-#ifdef SEEPAST_AVX512
-    for (int p = 0; p <= kVertical; ++p)
-      minimum[p] = least(minimum[p], least(lower(wide_minimum[p]), upper(wide_minimum[p])));
-#endif
-
-    int16_t lowest[4];
-    along_low = lowest_of_four(minimum[kVertical], minimum[0], minimum[kVertical > 1 ? 1 : 0],
-                               minimum[kVertical > 1 ? 2 : 0], lowest);
-    if (lowest[0] > kUnsettled) {
-      settle(along_to, all, &lowest[0]);
-      along_low = splat(0);
-    }
-    for (int p = 0; p < kVertical; ++p) {
-      if (lowest[p + 1] > kUnsettled) settle(to + p * path, all, &lowest[p + 1]);
-      r.to_low[p][x] = lowest[p + 1];
-    }
-    along = along_to;
-    std::swap(along_to, along_next);
-    held = held_next;
-    held_next = all;
-    if (kLast) pick(last + kGuard, lowest_total, lowest_first, r.picks + x);
+    const __m256i both = _mm256_and_si256(flags(0), flags(other));
+    const __m256i none = _mm256_cmpeq_epi32(both, _mm256_setzero_si256());
+    _mm256_store_si256(reinterpret_cast<__m256i*>(step + i),
+                       _mm256_blendv_epi8(sums, _mm256_set1_epi32(kColourSteps), none));
   }
-  if (kLast) places(r);
+#pragma GCC unroll 8
+  for (int i = 0; i < kBlockOfSteps; ++i) out[i] = large[step[i]];
+#else
+  steps_of(image, is_static, kBlockOfSteps, other, large, out);
+#endif
 }
 
-template <int kVertical>
-void steps_of(const Row& r) {
-  r.out ? steps_of_row<kVertical, true>(r) : steps_of_row<kVertical, false>(r);
+// The same in the columns [from, to) of a row, where they are matched; 0 elsewhere.
+void step_row(const uint8_t* image, const uint8_t* is_static, const uint64_t* active, int from, int to,
+              ptrdiff_t other, const Large& large, int16_t* out) {
+  constexpr int n = kBlockOfSteps;
+  for (int x = from; x < to; x += n) {
+    const int end = std::min(x + n, to);
+    if (same_until(active, x, end, 0) == end) {
+      std::fill(out + x, out + end, int16_t{0});
+      continue;
+    }
+    const int whole = end - n;  // a few twice, since whole blocks are faster
+    if (whole >= from)
+      step_block(image + 3 * whole, is_static + whole, other, large, out + whole);
+    else
+      steps_of(image + 3 * x, is_static + x, end - x, other, large, out + x);
+  }
 }
-
-void run(const Row& r, bool eight) { eight ? steps_of<3>(r) : steps_of<1>(r); }

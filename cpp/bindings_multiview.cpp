@@ -89,6 +89,13 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "median",
+      [](In<uint16_t, 2> image, Out<uint16_t, 2> out) {
+        median(image.data(), static_cast<int>(image.shape(0)), static_cast<int>(image.shape(1)), out.data());
+      },
+      free_lock);
+
+  m.def(
       "witnesses",
       [](In<float, 2> offsets, float cx, float cy, In<uint16_t, 2> d, In<uint16_t, 3> disparities,
          In<uint8_t, 3> is_static, int skip, int tolerance, Out<uint8_t, 2> agree, Out<uint8_t, 2> farther) {

@@ -54,11 +54,14 @@ struct Penalties {
 };
 // costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3];
 // paths 8 or
-// 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W], before the median.
+// 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W]; pixels
+// without a chunk are left as they are.
 size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
 void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
                const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
                int paths, uint16_t* scratch, uint16_t* out);
+// Of 5 x 5 pixels; the image's edges continue outside.
+void median(const uint16_t* image, int height, int width, uint16_t* out);
 
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,

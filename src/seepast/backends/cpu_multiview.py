@@ -6,14 +6,13 @@ import sys
 import threading
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from .. import _core
-from ..candidates import CHUNK, Candidates, DisparityGrid
+from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..confidence import CLOSE, of_views
 from ..geometry import ArrayGeometry
-from ..many import CONFIDENT, CUBIC, LUMA, PLANE, PairCosts, Penalties, VoteWeights, camera_pairs
+from ..many import CONFIDENT, CUBIC, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
 from .host import (
     averaged,
@@ -145,15 +144,18 @@ def aggregate(
     paths: int = 8,
     otherwise: np.ndarray | None = None,
 ) -> np.ndarray:
-    out = np.empty(static.shape, np.uint16)
+    if otherwise is None:
+        found = np.full(static.shape, UNITS // EIGHTHS * candidates.grid.first, np.uint16)
+    else:
+        found = otherwise.copy()
     scratch = _scratch(_core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs)))
     _core.aggregate(
         costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
-        penalties.large, penalties.dynamic, paths, scratch, out,
+        penalties.large, penalties.dynamic, paths, scratch, found,
     )  # fmt: skip
-    if otherwise is not None:
-        np.copyto(out, otherwise, where=candidates.active == 0)
-    return cv2.medianBlur(out, 5)
+    out = np.empty_like(found)
+    _core.median(found, out)
+    return out
 
 
 _kept = threading.local()
