@@ -129,7 +129,7 @@ def votes(sample: Sample) -> dict[str, np.ndarray]:
     geometry = rectify(sample.rig, 0).geometry
     found, _ = multiview.see_past(sample.rectified(), geometry, options, many, False, pipeline.Clock())
     size = geometry.size
-    sure = cv2.resize(many.results["confidence_of"][0], size, interpolation=cv2.INTER_NEAREST)
+    sure = cv2.resize(many.results["confidence_of"][0][0], size, interpolation=cv2.INTER_NEAREST)
     return {
         "votes": contact_sheet(
             {
