@@ -4,6 +4,7 @@
 # make bench-quality DATA=folder    the quality on recordings with truth, beside baselines
 # make bench-ablation DATA=folder    what every idea is worth, switched off alone
 # make bench-calibration DATA=folder    whether the confidence is right, on recordings with truth
+# make bench-gpu    the speed on the GPU, if there is one, and what its data sheet allows
 # make docs    the documentation, to build/docs/index.html
 # make lint    style and types
 #
@@ -17,7 +18,7 @@ PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 p
   $$p -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null && { echo $$p; break; }; done)
 PIP    := $(PY) -m pip --quiet --disable-pip-version-check install
 
-.PHONY: demo test bench bench-speed bench-quality bench-ablation bench-calibration docs lint
+.PHONY: demo test bench bench-speed bench-gpu bench-quality bench-ablation bench-calibration docs lint
 .DELETE_ON_ERROR:
 
 demo: $(CORE)
@@ -33,6 +34,9 @@ bench: bench-speed
 
 bench-speed: $(VENV)/.test-installed
 	@$(PY) benchmarks/speed.py $(BENCH) $(if $(QUICK),--quick) $(if $(LIBELAS),--libelas "$(LIBELAS)")
+
+bench-gpu: $(VENV)/.test-installed
+	@$(PY) benchmarks/gpu.py $(if $(PRESETS),--presets "$(PRESETS)") $(if $(WRITE),--write "$(WRITE)")
 
 bench-quality: $(VENV)/.test-installed
 	@test -n "$(DATA)" || { echo "make: say DATA=folder, a recording with truth/ or a folder of such recordings"; exit 1; }

@@ -130,15 +130,6 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
-      "confidence_of",
-      [](In<uint8_t, 2> agree, In<uint8_t, 2> farther, In<uint8_t, 2> is_static, uint8_t confident,
-         uint8_t lone, uint8_t doubtful, Out<uint8_t, 2> out) {
-        confidence_of(agree.data(), farther.data(), is_static.data(), agree.size(),
-                      Grades{confident, lone, doubtful}, out.data());
-      },
-      free_lock);
-
-  m.def(
       "votes",
       [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> costs, In<uint16_t, 3> disparities,
          In<uint8_t, 3> confidence, In<uint8_t, 2> is_static, const Grid& grid, In<uint64_t, 2> active,

@@ -6,19 +6,11 @@
 #include <cstring>
 #include <vector>
 
+#include "cubic.h"
 #include "multiview.h"
 
 namespace seepast {
 namespace {
-
-// many.py cubic_weights.
-[[gnu::always_inline]] inline void cubic_weights(float t, float* w) {
-  const float near = 1.0f - t, far = 2.0f - t, beyond = 1.0f + t;
-  w[0] = ((-0.5f * beyond + 2.5f) * beyond - 4.0f) * beyond + 2.0f;
-  w[1] = (1.5f * t - 2.5f) * t * t + 1.0f;
-  w[2] = (1.5f * near - 2.5f) * near * near + 1.0f;
-  w[3] = ((-0.5f * far + 2.5f) * far - 4.0f) * far + 2.0f;
-}
 
 constexpr int kTaps = 4;
 constexpr int kBlock = 64;  // pixels that are sampled together

@@ -17,7 +17,7 @@ void land_row(const float* __restrict offset, float cx, float cy, int y, int wid
     const RayShift shift = ray_shift(offset, d[x]);
     px[x] = x + whole_offset(ray_dx(shift, x, cx));
     py[x] = y + whole_offset(ray_dy(shift, y, cy));
-    there[x] = d[x] * (1.0f / (1.0f - d[x] * offset[2]));
+    there[x] = seen_disparity(offset, d[x]);
   }
 }
 
@@ -36,44 +36,9 @@ void says_row(const int32_t* px, const int32_t* py, const float* there, int widt
   }
 }
 
-struct GridPosition {
-  float at[3];  // disparity, y, x, in cells
-};
-
 GridPosition grid_position(const Array& view, int reference, const Cells& cells, int x, int y, float d) {
-  const float* offset = view.offsets + kOffsets * reference;
-  const RayShift shift = ray_shift(offset, d);
-  const float v[3] = {d * (1.0f / (1.0f - d * offset[2])), static_cast<float>(y) + ray_dy(shift, y, view.cy),
-                      static_cast<float>(x) + ray_dx(shift, x, view.cx)};
-  GridPosition g;
-  for (int i = 0; i < 3; ++i) {
-    const float cell = (v[i] - cells.low[i]) * cells.inverse[i] + 0.5f;
-    g.at[i] = std::min(std::max(cell, 0.0f), cells.last[i]);
-  }
-  return g;
+  return grid_position(view.offsets + kOffsets * reference, view.cx, view.cy, cells, x, y, d);
 }
-
-size_t cell_index(const Cells& cells, int d, int y, int x) {
-  return (static_cast<size_t>(d) * cells.count[1] + y) * cells.count[2] + x;
-}
-
-float lerp(float a, float b, float t) { return a + (b - a) * t; }
-
-float trilinear(const float* plane, const Cells& cells, const int* i, const float* f) {
-  float layer[2];
-  for (int a = 0; a < 2; ++a) {
-    const float* p = plane + cell_index(cells, i[0] + a, i[1], i[2]);
-    const float* q = p + cells.count[2];
-    layer[a] = lerp(lerp(p[0], p[1], f[2]), lerp(q[0], q[1], f[2]), f[1]);
-  }
-  return lerp(layer[0], layer[1], f[0]);
-}
-
-inline void bgr(const uint8_t* pixel, int channels, int* c) {
-  for (int i = 0; i < 3; ++i) c[i] = pixel[channels == 3 ? i : 0];
-}
-
-inline int colour_bin(const int* c) { return (c[0] >> 4) << 8 | (c[1] >> 4) << 4 | c[2] >> 4; }
 
 // The terms of a row of potentials, before they are added.
 struct PotentialRow {
@@ -85,12 +50,8 @@ SEEPAST_CLONES
 void potential_row(const float* __restrict sure, const float* __restrict said, const float* __restrict local,
                    const float* __restrict colour, float said_weight, float local_weight, int width,
                    int16_t* __restrict u) {
-  for (int i = 0; i < width; ++i) {
-    const float label = std::min(std::max(local[i] - 0.5f, -0.5f), 0.5f) * local_weight;
-    const float sum = sure[i] + said[i] * said_weight + label + colour[i];
-    const float cut = std::min(std::max(sum, -kMaxPotential), kMaxPotential);
-    u[i] = static_cast<int16_t>(floor_int(cut * static_cast<float>(kNats) + 0.5f));
-  }
+  for (int i = 0; i < width; ++i)
+    u[i] = potential_of(sure[i], said[i], local[i], colour[i], said_weight, local_weight);
 }
 
 }  // namespace
@@ -127,7 +88,7 @@ void object_grid(const Array* views, int reference, const uint8_t* saw, const fl
                  const Cells& cells, int stride, uint16_t* mean, int64_t* sums) {
   const int K = views->cameras;
   const Lattice grid(views->height, views->width, stride);
-  const size_t size = cell_index(cells, cells.count[0], 0, 0);
+  const size_t size = cells.index(cells.count[0], 0, 0);
   std::fill_n(sums, 2 * size, 0);
 #pragma omp parallel
   {
@@ -148,8 +109,8 @@ void object_grid(const Array* views, int reference, const uint8_t* saw, const fl
         pooled = n ? static_cast<uint16_t>((kPooled * total + n / 2) / n) : kUnknown;
         if (!n) continue;
         const GridPosition g = grid_position(views[k], reference, cells, x, y, surfaces[at]);
-        const size_t cell = cell_index(cells, floor_int(g.at[0] + 0.5f), floor_int(g.at[1] + 0.5f),
-                                       floor_int(g.at[2] + 0.5f));
+        const size_t cell =
+            cells.index(floor_int(g.at[0] + 0.5f), floor_int(g.at[1] + 0.5f), floor_int(g.at[2] + 0.5f));
         own[cell] += pooled;
         own[size + cell] += 1;
       }
@@ -162,7 +123,7 @@ void object_grid(const Array* views, int reference, const uint8_t* saw, const fl
 void object_slice(const Array* views, int reference, const float* values, const uint16_t* mean,
                   const float* surfaces, const Cells& cells, int stride, uint16_t* share) {
   const Lattice grid(views->height, views->width, stride);
-  const size_t size = cell_index(cells, cells.count[0], 0, 0);
+  const size_t size = cells.index(cells.count[0], 0, 0);
 #pragma omp parallel for schedule(static)
   for (int line = 0; line < views->cameras * grid.height; ++line) {
     const int k = line / grid.height, y = grid.image(line % grid.height);
@@ -173,16 +134,7 @@ void object_slice(const Array* views, int reference, const float* values, const 
       const int x = grid.image(i);
       const float d = surfaces[(static_cast<size_t>(k) * views->height + y) * views->width + x];
       const GridPosition g = grid_position(views[k], reference, cells, x, y, d);
-      int whole[3];
-      float part[3];
-      for (int a = 0; a < 3; ++a) {
-        whole[a] = floor_int(g.at[a]);
-        part[a] = g.at[a] - static_cast<float>(whole[a]);
-      }
-      const float sum = trilinear(values, cells, whole, part);
-      const float count = trilinear(values + size, cells, whole, part);
-      const float of = std::min(std::max(sum / std::max(count, 1e-6f), 0.0f), 1.0f);
-      share[out] = static_cast<uint16_t>(floor_int(of * static_cast<float>(kShare) + 0.5f));
+      share[out] = object_share(values, values + size, cells, g);
     }
   }
 }
@@ -328,9 +280,7 @@ void potential(int height, int width, int channels, const float* said, const uin
         const size_t x = at + grid.image(i);
         int c[3];
         bgr(colour + x * channels, channels, c);
-        const float* l = linear + 4 * x;
-        row.local[i] = l[0] * static_cast<float>(c[0]) + l[1] * static_cast<float>(c[1]) +
-                       l[2] * static_cast<float>(c[2]) + l[3];
+        row.local[i] = local_of(linear + 4 * x, c);
         row.colour[i] = terms.colours[colour_bin(c)];
       }
       for (int i = 0; i < grid.width;) {

@@ -2,28 +2,9 @@
 #pragma once
 
 #include "core.h"
+#include "people_pixel.h"
 
 namespace seepast {
-
-constexpr uint8_t kNoSay = 255;
-constexpr uint16_t kUnknown = 65535;
-constexpr int kPooled = 64, kShare = 4096, kLevels = 16, kColours = 4096, kNats = 256, kMoments = 14;
-constexpr float kMaxPotential = 30.0f;
-
-// Every stride-th pixel of both axes, from stride / 2 on.
-struct Lattice {
-  int stride, height, width;  // of the lattice
-  Lattice(int image_height, int image_width, int stride)
-      : stride(stride), height(count(image_height, stride)), width(count(image_width, stride)) {}
-  static int count(int n, int stride) { return n > stride / 2 ? (n - stride / 2 + stride - 1) / stride : 0; }
-  size_t pixels() const { return static_cast<size_t>(height) * width; }
-  int image(int i) const { return i * stride + stride / 2; }
-};
-
-struct Cells {
-  float low[3], inverse[3], last[3];  // disparity, y, x
-  int count[3];
-};
 
 // `views`: the array as seen from each of its K cameras.
 void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance,

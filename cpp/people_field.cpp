@@ -53,9 +53,7 @@ void change_costs(const uint8_t* __restrict ca, const uint8_t* __restrict cb, in
   }
   for (int i = 0; i < count; ++i) scratch[i] = table[scratch[i]];
   for (int i = 0; i < count; ++i) {
-    const int cost = scratch[i], lower = (cost * cut) >> 8;
-    const int here = std::fabs(da[i] - db[i]) > depth_step ? lower : cost;
-    w[i] = static_cast<int16_t>(diagonal ? (here * 181) >> 8 : here);
+    w[i] = static_cast<int16_t>(change_cost(scratch[i], da[i] - db[i], depth_step, cut, diagonal));
   }
 }
 

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "multiview.h"
+#include "planes.h"
 
 namespace seepast {
 namespace {
@@ -129,15 +130,8 @@ void add_neighbours(const Pixels& pixels, ptrdiff_t stride, const PlaneParams& p
   }
 }
 
-// Height of the plane of the n-th sums over its pixel, 32nds of a pixel.
-double plane_height(const Sums& sums, int n, double ridge) {
-  const double one = 1.0 / static_cast<double>(sums.w[n]);
-  const double mx = sums.x[n] * one, my = sums.y[n] * one, me = sums.e[n] * one;
-  const double a = sums.xx[n] * one - mx * mx + ridge, b = sums.xy[n] * one - mx * my,
-               c = sums.yy[n] * one - my * my + ridge;
-  const double u = sums.ex[n] * one - mx * me, v = sums.ey[n] * one - my * me;
-  const double det = a * c - b * b;
-  return me - (c * u - b * v) / det * mx - (a * v - b * u) / det * my;
+PlaneSums of_pixel(const Sums& s, int n) {
+  return {s.w[n], s.x[n], s.y[n], s.xx[n], s.xy[n], s.yy[n], s.e[n], s.ex[n], s.ey[n]};
 }
 
 }  // namespace
@@ -174,7 +168,7 @@ void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, co
       add_neighbours(pixels, padded.stride, params, sums);
       for (int x = from; x < to; ++x) {
         if (!wanted[row + x] || !(sums.w[x - from] >= params.need)) continue;
-        const double moved = std::floor(plane_height(sums, x - from, params.ridge) + 0.5);
+        const double moved = std::floor(plane_height(of_pixel(sums, x - from), params.ridge) + 0.5);
         if (std::fabs(moved) <= params.gate)
           out[row + x] = static_cast<uint16_t>(std::max(0, d[row + x] + static_cast<int>(moved)));
       }

@@ -281,9 +281,4 @@ void graded(const Array& array, int view, const uint16_t* d, const uint16_t* dis
   }
 }
 
-void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* is_static, size_t count,
-                   const Grades& grades, uint8_t* out) {
-  grade(agree, farther, is_static, count, grades.confident, grades.lone, grades.doubtful, out);
-}
-
 }  // namespace seepast

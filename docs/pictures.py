@@ -125,11 +125,11 @@ def views(sample: Sample) -> dict[str, np.ndarray]:
 def votes(sample: Sample) -> dict[str, np.ndarray]:
     """The many-view method's last steps: how sure views are, the disparity voted for, how many rays show it."""
     options = seepast.Options.preset("accurate")
-    many = Kept(backends.multiview(backends.get("auto")), "confidence_of")
+    many = Kept(backends.multiview(backends.get("cpu")), "graded_of_views")
     geometry = rectify(sample.rig, 0).geometry
     found, _ = multiview.see_past(sample.rectified(), geometry, options, many, False, pipeline.Clock())
     size = geometry.size
-    sure = cv2.resize(many.results["confidence_of"][0][0], size, interpolation=cv2.INTER_NEAREST)
+    sure = cv2.resize(many.results["graded_of_views"][1][0][0], size, interpolation=cv2.INTER_NEAREST)
     return {
         "votes": contact_sheet(
             {
@@ -161,7 +161,7 @@ def baselines(sample: Sample) -> dict[str, np.ndarray]:
 def paper(sample: Sample) -> dict[str, np.ndarray]:
     """Every stage of the paper's method."""
     frame, geometry = sample.rectified(), rectify(sample.rig, 0).geometry
-    stages = Kept(backends.get("auto"), "support", "prior", "disparity", "smooth", "segmentation", "masks", "refocus")
+    stages = Kept(backends.get("cpu"), "support", "prior", "disparity", "smooth", "segmentation", "masks", "refocus")
     options = seepast.Options.preset("paper")
     found, _ = pipeline.see_past(frame, geometry, options, stages, False, pipeline.Clock())
     results = stages.results

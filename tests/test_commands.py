@@ -151,7 +151,7 @@ def test_completion_knows_commands_and_options(shell: str, capsys: pytest.Captur
         ("seepast ", set(commands())),
         ("seepast r", {"run", "refocus"}),
         ("seepast run --se", {"--segmenter", "--settings", "--set"}),
-        ("seepast run rec --backend ", {"auto", "cpu", "reference"}),
+        ("seepast run rec --backend ", {"auto", "cpu", "cuda", "reference"}),
         ("seepast models ", {"get"}),
     ],
 )

@@ -34,6 +34,7 @@ NOT_RUN = {
     r" --view$": "serves a page until Ctrl-C; test_viewing.py",
     r"^(ROS_DOMAIN_ID=7 )?seepast serve": "needs a running ROS 2 system; test_serve.py has one of its own",
     r"^rgbd_tum": "is ORB-SLAM's",
+    r"--backend cuda": "needs a GPU; test_gpu_frames.py runs the same without",
 }
 NEEDS = {r"seepast view ": "rerun", r"--to (mcap|rosbag\d)|walk": "rosbags", r"--to exr": "OpenEXR"}
 NEEDS |= {r"synth|evaluate": "embreex", r"onnx:": "onnxruntime"}

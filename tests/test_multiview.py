@@ -267,17 +267,13 @@ def test_votes(name, grid, kind):
 
 
 @every_scene
-def test_confidence(name):
+@pytest.mark.parametrize("kind", [None, "holes", "random"])
+def test_graded(name, kind):
     c = case(name)
-    agree, farther = reference.witnesses(c.disparities[0], c.disparities, c.static, c.views[0], 1, UNITS)
-    assert_same(*(b.confidence_of(agree, farther, c.static[0], 14, 3) for b in (reference, cpu)))
-
-
-@every_scene
-def test_graded(name):
-    c = case(name)
+    grid = DisparityGrid(0, 8, 3 * CHUNK)
+    candidates = None if kind is None else some_candidates(grid, c.static.shape[1:], kind)
     for k in c.some_views:
-        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3
+        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3, candidates
         for found, expected in zip(cpu.graded(*given), reference.graded(*given), strict=True):
             assert_same(found, expected)
 

@@ -364,7 +364,7 @@ def test_bad_frames_are_refused_by_name(case):
 
 
 def test_a_backend_must_exist():
-    with pytest.raises(BackendError, match=r"'abacus'.*choose auto or one of cpu, reference"):
+    with pytest.raises(BackendError, match=r"'abacus'.*choose auto or one of cpu, cuda, reference"):
         Reconstructor(RIG, backend="abacus")
 
 

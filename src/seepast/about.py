@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 
 from . import __version__, backends
-from .errors import BackendError
+from .errors import SeepastError
+from .gpu import device
 
 FOR_DEVELOPERS = {"test", "dev", "docs"}
 
@@ -25,6 +26,7 @@ def about() -> dict[str, Any]:
     simd                            "AVX-512", "AVX2", "NEON" or "baseline": the loops that the cpu backend chose for
                                     this processor; None where it cannot be loaded
     backends                        name -> None where it works, else why it does not
+    gpu                             its name and compute capability, as the cuda backend has it; None without
     extras                          name -> {package: version, None where it is missing}
     """
     return {
@@ -36,6 +38,7 @@ def about() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "simd": simd(),
         "backends": {name: _why_not(name) for name in backends.BACKENDS},
+        "gpu": gpu(),
         "extras": extras(),
     }
 
@@ -46,6 +49,8 @@ def about_text(facts: dict[str, Any]) -> str:
     lines += [f"backend {name}: {'found' if why is None else why}" for name, why in facts["backends"].items()]
     lines.append(f"processor: {facts['machine']}, SIMD {facts['simd'] or 'not known'}, {facts['cores']} cores")
     lines.append(f"python {facts['python']}, numpy {facts['numpy']}, opencv {facts['opencv']}")
+    if facts["gpu"]:
+        lines.append(f"gpu: {facts['gpu']}")
     for extra, packages in facts["extras"].items():
         missing = [package for package, version in packages.items() if version is None]
         there = ", ".join(f"{package} {version}" for package, version in packages.items())
@@ -60,6 +65,14 @@ def simd() -> str | None:
     except ImportError:
         return None
     return str(_core.simd())
+
+
+def gpu() -> str | None:
+    """The GPU of the cuda backend: "NVIDIA H200, compute capability 9.0, CUDA 12"; None where there is none."""
+    try:
+        return device.current().name
+    except SeepastError:
+        return None
 
 
 def extras(names: list[str] | None = None, requirements: list[str] | None = None) -> dict[str, dict[str, str | None]]:
@@ -92,6 +105,6 @@ def _version(package: str) -> str | None:
 def _why_not(backend: str) -> str | None:
     try:
         backends.get(backend)
-    except BackendError as error:
+    except SeepastError as error:
         return str(error)
     return None

@@ -77,7 +77,7 @@ app = App(
 )
 
 Range = Annotated[tuple[float, float] | None, Parameter(negative=(), show_default=False)]
-Backend = Literal["auto", "cpu", "reference"]
+Backend = Literal["auto", "cpu", "cuda", "reference"]
 app.command(run)
 app.command(check)
 app.command(refocus)

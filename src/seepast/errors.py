@@ -29,6 +29,10 @@ class BackendError(SeepastError, RuntimeError):
     """A backend that is unknown or cannot run on this machine."""
 
 
+class DeviceError(BackendError):
+    """A GPU that cannot go on with a frame: its memory is full, or it was lost."""
+
+
 class ModelError(SeepastError, RuntimeError):
     """A segmentation network that cannot be found, fetched, read, understood or run."""
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -29,9 +30,15 @@ class Frame:
 
 
 def check_frame(
-    rig: Rig, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None
+    rig: Rig,
+    images: Sequence[Any],
+    masks: Sequence[Any] | None,
+    received: Callable[[Any], np.ndarray] = np.asarray,
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Images and masks as uint8 arrays of the rig's sizes. Raises InputError naming the camera and the mend."""
+    """Images and masks as uint8 arrays of the rig's sizes. Raises InputError naming the camera and the mend.
+
+    received  makes an array of what was given: a backend's of the same name
+    """
     K = len(rig.cameras)
     if len(images) != K:
         raise InputError(f"images: {len(images)} given, the rig has {K} cameras: give one per camera, in its order")
@@ -39,14 +46,14 @@ def check_frame(
         masks = [np.zeros(np.shape(image)[:2], np.uint8) for image in images]
     if len(masks) != K:
         raise InputError(f"masks: {len(masks)} given, the rig has {K} cameras: give one per camera, in its order")
-    checked = [_image(camera.name, image, camera.resolution) for camera, image in zip(rig.cameras, images, strict=True)]
+    given = zip(rig.cameras, images, strict=True)
+    checked = [_image(camera.name, received(image), camera.resolution) for camera, image in given]
     if len({image.ndim for image in checked}) > 1:
         raise InputError("images: some are grey and some colour: convert them all to one kind")
-    return checked, [_mask(c.name, mask, c.resolution) for c, mask in zip(rig.cameras, masks, strict=True)]
+    return checked, [_mask(c.name, received(mask), c.resolution) for c, mask in zip(rig.cameras, masks, strict=True)]
 
 
 def _image(name: str, image: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
-    image = np.asarray(image)
     if image.ndim == 3 and image.shape[2] == 1:
         image = image[..., 0]
     if image.dtype != np.uint8:
@@ -58,7 +65,6 @@ def _image(name: str, image: np.ndarray, resolution: tuple[int, int]) -> np.ndar
 
 
 def _mask(name: str, mask: np.ndarray, resolution: tuple[int, int]) -> np.ndarray:
-    mask = np.asarray(mask)
     if mask.ndim != 2:
         raise InputError(f"mask of {name} has shape {mask.shape}: give one channel [h, w] of P(dynamic)")
     _size("mask", name, mask, resolution)
@@ -69,7 +75,7 @@ def _mask(name: str, mask: np.ndarray, resolution: tuple[int, int]) -> np.ndarra
     if mask.dtype.kind == "f":
         if not (np.isfinite(mask).all() and mask.min() >= 0 and mask.max() <= 1):
             raise InputError(f"mask of {name} has values outside 0..1 or NaN: a float mask is P(dynamic)")
-        return np.round(mask * 255).astype(np.uint8)
+        return np.rint(mask * 255).astype(np.uint8)
     raise InputError(f"mask of {name} is {mask.dtype}: give uint8 (255 * P), bool, or float P(dynamic) in 0..1")
 
 

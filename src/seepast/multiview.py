@@ -211,7 +211,10 @@ def wanted_view(
     level, geometry, r = seen.level, seen.level.geometry, seen.level.geometry.reference
     colour, static = level.colour[r], level.static[r]
     with clock("votes"):
-        energy = backend.votes(costs, seen.disparity, seen.confidence, static, geometry, candidates, -1, weights)
+        # nobody needs the costs any more: the energies take their place
+        energy = backend.votes(
+            costs, seen.disparity, seen.confidence, static, geometry, candidates, -1, weights, out=costs
+        )
     with clock("aggregate"):
         d = backend.aggregate(energy, colour, static, candidates, smooth, o.paths, seen.disparity[r])
     if o.planes:

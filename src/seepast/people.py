@@ -105,12 +105,9 @@ def refine_people(
         sure = backend.sure_labels(region, said if step == stride else lattice(said, stride), options)
         linear = local_label(backend.colour_moments(frame.colour, sure, stride, BLOCK), options)
         terms = Terms(sure_terms(options), options.said, options.local, options.colour * colour_ratio(colours, options))
-        u = np.empty_like(said, np.int16)
-        for k in range(geometry.cameras):
-            label = backend.upsampled(linear[k], BLOCK * stride, frame.dynamic.shape[1:])
-            u[k] = backend.potential(
-                said[k], frame.dynamic[k], frame.colour[k], label, sure[k], terms, step, stride // step
-            )
+        u = backend.potentials(
+            said, frame.dynamic, frame.colour, linear, sure, terms, step, stride // step, BLOCK * stride
+        )
         belief = backend.field(u, frame.colour, surfaces, costs, step)
         person = (belief > 0).astype(np.uint8)
     return backend.probability(belief, frame.dynamic, probabilities(options), options.grow)

@@ -6,18 +6,21 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
 from . import backends, confidence, multiview
 from .ahead import ahead
 from .candidates import EIGHTHS, DisparityGrid
+from .errors import DeviceError
 from .evidence import UNCHANGED
 from .frames import Frame, check_frame
 from .geometry import ArrayGeometry
@@ -25,6 +28,8 @@ from .options import DEFAULT_PRESET, Options
 from .rectify import rectify
 from .result import Result
 from .rig import Rig
+
+log = logging.getLogger("seepast")
 
 STAGES = (
     "rectify",
@@ -126,18 +131,30 @@ class Clock:
         self._within = outer + passed
 
 
-Images = Sequence[np.ndarray]  # of one instant: see Reconstructor.__call__
-Masks = Sequence[np.ndarray] | None
+Images = Sequence[Any]  # of one instant: see Reconstructor.__call__
+Masks = Sequence[Any] | None
 
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """One instant, checked and rectified; masks as they came in, uint8."""
+    """One instant, checked and rectified by `backend`, once the mark `ready` has passed; images and masks as they came
+    in, uint8."""
 
+    backend: ModuleType
     frame: Frame
+    images: list[np.ndarray]
     masks: list[np.ndarray]
-    in_colour: bool
     clock: Clock
+    ready: Any
+
+
+@dataclass(frozen=True, eq=False)
+class _Started:
+    """One instant, reconstructed once `found` returns: the arrays of a Result."""
+
+    prepared: _Prepared
+    found: Callable[[], dict[str, Any]]
+    rounds: int
 
 
 class Reconstructor:
@@ -146,11 +163,14 @@ class Reconstructor:
     rig           the calibrated array (2 .. 16 cameras)
     options       Options, default Options.preset(DEFAULT_PRESET)
     reference     camera whose view is reconstructed, by number or name
-    backend       "auto", "cpu" or "reference"
+    backend       "auto", "cpu", "cuda" or "reference". "auto" is "cuda" where a GPU works, and turns to "cpu", with a
+                  warning, when it stops working
     dynamic_only  estimate only pixels that a person hides from the reference. Disparity and depth are then 0
                   (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster with preset "paper",
                   whose prior then rests on the support points around those pixels
     threads       of the cpu backend and of rectification; 0 = all cores. The result does not depend on it
+    on_device     results stay in the backend's arrays: on the GPU with "cuda" (CuPy's, for anything that takes DLPack
+                  or __cuda_array_interface__; complete, whatever the stream)
 
     Raises RigError, OptionsError, BackendError. Calling it: see `__call__`.
     """
@@ -164,6 +184,7 @@ class Reconstructor:
         backend: str = "auto",
         dynamic_only: bool = False,
         threads: int = 0,
+        on_device: bool = False,
     ):
         self.rig = rig
         self.options = options or Options.preset(DEFAULT_PRESET)
@@ -172,15 +193,18 @@ class Reconstructor:
         self.backend = backends.get(backend)
         self.dynamic_only = dynamic_only
         self.threads = threads
+        self.on_device = on_device
+        self._may_change = backend == "auto"
         self._spare: deque[Frame] = deque(maxlen=4)  # of earlier instants, to be written over
         DisparityGrid.of(self.options.range, self.rectification.geometry.size[0])  # an empty range fails here
 
-    def __call__(self, images: Sequence[np.ndarray], masks: Sequence[np.ndarray] | None) -> Result:
+    def __call__(self, images: Images, masks: Masks) -> Result:
         """One instant: K images uint8 [h, w] or [h, w, 3] BGR; K masks uint8 255 * P(dynamic), bool, or floats 0..1.
 
-        masks None: nothing is dynamic. Raises InputError.
+        masks None: nothing is dynamic. With the backend "cuda" both may be on the GPU already: objects with
+        __cuda_array_interface__ or DLPack. Raises InputError, and DeviceError where a GPU fails.
         """
-        return self._reconstructed(self._prepared(images, masks))
+        return self._finished(self._started(self._prepared(images, masks)))
 
     def stream(self, frames: Iterable[tuple[Images, Masks]]) -> Generator[Result, None, None]:
         """Results of many instants, in order and the same as one by one, but faster.
@@ -188,12 +212,27 @@ class Reconstructor:
         frames yields (images, masks) as `__call__` takes them. While one frame is reconstructed, by whoever asks
         for its result, the next is being rectified and the one after it fetched from `frames`, each in a thread.
         What `frames` or the checks raise is raised when the result of that frame is asked for. At most five frames
-        are held beforehand. Closing the generator, or letting go of it, ends the threads, and closes `frames` if
-        that is a generator too.
+        are held beforehand; on a GPU one more is reconstructed while the result of the one before is on its way back.
+        Closing the generator, or letting go of it, ends the threads, and closes `frames` if that is a generator too.
         """
         with closing(ahead(self._prepared_all(frames))) as prepared:
-            for one in prepared:
-                yield self._reconstructed(one)
+            waiting: _Started | None = None
+            try:
+                for one in prepared:
+                    started = self._started(one)
+                    if waiting is not None:
+                        before, waiting = waiting, None
+                        yield self._finished(before)
+                    if started.prepared.backend.QUEUES:
+                        waiting = started
+                    else:
+                        yield self._finished(started)
+            except Exception:
+                if waiting is not None:
+                    yield self._finished(waiting)
+                raise
+            if waiting is not None:
+                yield self._finished(waiting)
 
     def _prepared_all(self, frames: Iterable[tuple[Images, Masks]]) -> Generator[_Prepared, None, None]:
         with closing(ahead(frames)) as fetched:
@@ -201,14 +240,32 @@ class Reconstructor:
                 yield self._prepared(images, masks)
 
     def _prepared(self, images: Images, masks: Masks) -> _Prepared:
-        clock = Clock()
-        checked, priors = check_frame(self.rig, images, masks)
-        with clock("rectify"):
-            kind, spare = self.options.rectify.interpolation, self._spare_frame()
-            frame = self.backend.rectified_frame(
-                self.rectification, checked, priors, kind, self.threads, spare, grey=not self.options.multiview.enabled
-            )
-        return _Prepared(frame, priors, checked[0].ndim == 3, clock)
+        checked, priors = check_frame(self.rig, images, masks, self.backend.received)
+        try:
+            return self._rectified(checked, priors)
+        except DeviceError as error:
+            self._give_up(error)
+        return self._rectified(*(list(map(backends.on_host, given)) for given in (checked, priors)))
+
+    def _rectified(self, images: list[np.ndarray], masks: list[np.ndarray]) -> _Prepared:
+        clock, backend = Clock(), self.backend
+        kind = self.options.rectify.interpolation
+        with clock("rectify"), backend.faults():
+            given = backend.mark()  # images that are on a device already are made in the caller's lane
+            with backend.lane("rectify"):
+                backend.after(given)
+                spare = self._spare_frame()
+                grey = not self.options.multiview.enabled
+                frame = backend.rectified_frame(self.rectification, images, masks, kind, self.threads, spare, grey=grey)
+                return _Prepared(backend, frame, images, masks, clock, backend.mark())
+
+    def _give_up(self, error: DeviceError) -> None:
+        """The cpu backend takes over from a device; `error` where the user leaves no choice."""
+        if not self._may_change:
+            raise error
+        if self.backend.QUEUES:
+            log.warning("%s; going on with --backend cpu", error)
+            self.backend = backends.get("cpu")
 
     def _spare_frame(self) -> Frame | None:
         try:
@@ -216,32 +273,54 @@ class Reconstructor:
         except IndexError:  # never a look before: several threads may ask
             return None
 
-    def _reconstructed(self, prepared: _Prepared) -> Result:
-        clock, geometry = prepared.clock, self.rectification.geometry
-        backends.set_threads(self.backend, self.threads)
-        method, stages = see_past, self.backend
+    def _started(self, prepared: _Prepared) -> _Started:
+        if prepared.backend is self.backend:
+            try:
+                with self.backend.faults(), self.backend.lane("reconstruct"):
+                    return self._reconstructed(prepared)
+            except DeviceError as error:
+                self._give_up(error)
+        images, masks = (list(map(backends.on_host, given)) for given in (prepared.images, prepared.masks))
+        return self._reconstructed(self._rectified(images, masks))
+
+    def _reconstructed(self, prepared: _Prepared) -> _Started:
+        clock, geometry, backend = prepared.clock, self.rectification.geometry, prepared.backend
+        backend.after(prepared.ready)
+        backends.set_threads(backend, self.threads)
+        method, stages = see_past, backend
         if self.options.multiview.enabled:
-            method, stages = multiview.see_past, backends.multiview(self.backend)
+            method, stages = multiview.see_past, backends.multiview(backend)
         found, rounds = method(prepared.frame, geometry, self.options, stages, self.dynamic_only, clock)
         with clock("rectify"):
-            if found["dynamic"] is prepared.frame.dynamic:  # as they came in
+            dynamic = found.pop("dynamic")
+            if dynamic is prepared.frame.dynamic:  # as they came in
                 masks = tuple(mask.copy() for mask in prepared.masks)
             else:
-                masks = self.backend.input_masks(self.rectification, found["dynamic"], prepared.masks, self.threads)
-            del found["dynamic"]
+                masks = backend.input_masks(self.rectification, dynamic, prepared.masks, self.threads)
         background = found["background"]
         if np.may_share_memory(background, prepared.frame.colour):
             background = background.copy()
-        found["background"] = background if prepared.in_colour else background[..., 0]
-        found["depth"] = self.backend.depth(found["disparity"], geometry)
-        self._spare.append(prepared.frame)
+        found["background"] = background if prepared.images[0].ndim == 3 else background[..., 0]
+        found["depth"] = backend.depth(found["disparity"], geometry)
+        return _Started(prepared, backend.fetched({**found, "masks": masks}, self.on_device), rounds)
+
+    def _finished(self, started: _Started) -> Result:
+        prepared = started.prepared
+        try:
+            with prepared.backend.faults():
+                found = started.found()
+        except DeviceError as error:
+            self._give_up(error)
+            return self._finished(self._started(prepared))
+        if not prepared.backend.QUEUES:
+            self._spare.append(prepared.frame)
         return Result(
-            **self.backend.download({**found, "masks": masks}),
-            geometry=geometry,
-            timings=clock.milliseconds,
-            rounds=rounds,
+            **found,
+            geometry=self.rectification.geometry,
+            timings=prepared.clock.milliseconds,
+            rounds=started.rounds,
             options=self.options,
-            backend=self.backend.__name__.rpartition(".")[2],
+            backend=prepared.backend.__name__.rpartition(".")[2],
         )
 
 

@@ -166,6 +166,12 @@ class Rectification:
         own = np.zeros_like(mask) if input_mask is None else input_mask[rows]
         return cv2.copyTo(own, unreached[rows], mask)
 
+    def from_input(self, camera: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """What `image` and `dynamic` need: fixed-point maps (pixel_maps.fixed_point), and uint8 [H, W], NO_RAY or 0.
+        None where the camera passes through."""
+        fixed, no_ray = self._fixed[camera], self._no_ray[camera]
+        return None if fixed is None or no_ray is None else (*fixed, no_ray)
+
     def to_input(self, camera: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What `masks_to_input` needs, made at the first call: fixed-point maps, and uint8 [h, w], not 0 where the view
         does not reach."""

@@ -75,7 +75,7 @@ def process(
         dataset.rig,
         options=settings.options,
         reference=reference,
-        backend=run.backend,
+        backend=settings.backend,  # with auto the CPU takes over from a GPU that fails
         dynamic_only=settings.dynamic_only,
         threads=settings.threads,
     )

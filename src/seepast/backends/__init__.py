@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
+import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from types import ModuleType
+from typing import Any
 
-from ..errors import BackendError
+import numpy as np
 
-BACKENDS = ("cpu", "reference")
+from ..errors import BackendError, MissingExtraError
+from ..gpu import device
+
+log = logging.getLogger("seepast")
+
+BACKENDS = ("cpu", "cuda", "reference")
 
 
 def get(name: str) -> ModuleType:
-    """The backend module `name`; "auto" is the fastest one that works here. Raises BackendError."""
+    """The backend module `name`; "auto" is the fastest one that works here. Raises BackendError, MissingExtraError."""
     if name == "auto":
-        name = BACKENDS[0]
+        name = _fastest()
     if name not in BACKENDS:
         raise BackendError(f"backend {name!r} is unknown: choose auto or one of {', '.join(BACKENDS)}")
+    if name == "cuda":
+        device.current()
     try:
         with _idle_threads_sleep():
             return importlib.import_module(f".{name}", __name__)
@@ -30,7 +40,25 @@ def get(name: str) -> ModuleType:
         ) from error
 
 
-@lru_cache(maxsize=1)
+@cache
+def _fastest() -> str:
+    """ "cuda" where CuPy is installed and finds a GPU that works, else "cpu"; says so once where CuPy finds none."""
+    if importlib.util.find_spec("cupy") is None:
+        return "cpu"
+    try:
+        device.current()
+    except (BackendError, MissingExtraError) as error:
+        log.warning("%s; going on with --backend cpu", error)
+        return "cpu"
+    return "cuda"
+
+
+def on_host(array: Any) -> np.ndarray:
+    """The same in NumPy's memory: of any array, a device's too."""
+    return array if isinstance(array, np.ndarray) else device.current().download(array)
+
+
+@cache
 def core() -> ModuleType | None:
     """The C++ core, for what is no stage of a backend; None where it was not built."""
     try:

@@ -15,7 +15,7 @@ from ..evidence import NATS, POSTERIOR, POSTERIOR_SCALE, prior_costs
 from ..geometry import ArrayGeometry
 from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
 from ..triangulation import delaunay, with_corners
-from .host import depth, download, input_masks, probability, rectified_frame
+from .host import QUEUES, after, depth, faults, fetched, input_masks, lane, mark, probability, received, rectified_frame
 from .reference import (
     FOREGROUND_WEIGHT,
     NEARER,
@@ -34,17 +34,23 @@ from .reference import (
 )
 
 __all__ = [
+    "QUEUES",
     "affected",
+    "after",
     "depth",
     "describe",
     "disparity",
-    "download",
     "evidence",
+    "faults",
+    "fetched",
     "input_masks",
+    "lane",
+    "mark",
     "masks",
     "neighbourhood",
     "prior",
     "probability",
+    "received",
     "rectified_frame",
     "refocus",
     "segmentation",

@@ -35,7 +35,6 @@ __all__ = [
     "beside",
     "blend",
     "clear_of_masks",
-    "confidence_of",
     "describe",
     "enlarged",
     "everything",
@@ -116,6 +115,8 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
 def volumes(
     features: Features, views: list[ArrayGeometry], candidates: list[Candidates], costs: PairCosts
 ) -> list[np.ndarray]:
+    if not views:  # nothing is asked for
+        return []
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
     out = np.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
@@ -132,8 +133,11 @@ def volumes(
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
     """np.stack(arrays), without a copy where they are the slices of one array, all in order."""
     whole = arrays[0].base
-    slices = isinstance(whole, np.ndarray) and whole.shape == (len(arrays), *arrays[0].shape)
-    if slices and all(a.base is whole and a.ctypes.data == whole[i].ctypes.data for i, a in enumerate(arrays)):
+    if (
+        isinstance(whole, np.ndarray)
+        and whole.shape == (len(arrays), *arrays[0].shape)
+        and all(a.base is whole and a.ctypes.data == whole[i].ctypes.data for i, a in enumerate(arrays))
+    ):
         return whole
     return np.stack(arrays)
 
@@ -195,13 +199,6 @@ def labels(
         shown, passing,
     )  # fmt: skip
     return shown, passing
-
-
-def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
-    out, rows = np.empty(agree.shape, np.uint8), (-1, agree.shape[-1])
-    agree, farther, static = (v.reshape(rows) for v in (agree, _bytes(farther), _bytes(static)))
-    _core.confidence_of(agree, farther, static, CONFIDENT, lone, doubtful, out.reshape(rows))
-    return out
 
 
 def evidence(

@@ -7,7 +7,14 @@ import numpy as np
 from .. import _core
 from ..geometry import ArrayGeometry
 from ..people import COLOURS, LEVELS, MOMENTS, Cells, FieldCosts, Terms
-from .host_people import disagreement, probability, share_histograms, sure_labels, surface_range, upsampled  # noqa: F401
+from .host_people import (  # noqa: F401
+    disagreement,
+    potentials_by,
+    probability,
+    share_histograms,
+    sure_labels,
+    surface_range,
+)
 
 set_threads = _core.set_threads
 
@@ -61,6 +68,9 @@ def potential(said, dynamic, colour, linear, sure, terms: Terms, stride, cell) -
         said, dynamic, colour, linear, sure, terms.sure, terms.said, terms.local, terms.colours, stride, cell, u
     )
     return u
+
+
+potentials = potentials_by(potential)
 
 
 def field(u: np.ndarray, colour, surfaces, costs: FieldCosts, stride) -> np.ndarray:

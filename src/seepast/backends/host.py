@@ -3,7 +3,8 @@ the stages."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
 import cv2
@@ -14,26 +15,57 @@ from ..frames import input_masks, rectified_frame
 from ..geometry import ArrayGeometry
 
 __all__ = [
+    "QUEUES",
+    "after",
     "averaged",
     "beside",
     "clear_of_masks",
     "depth",
-    "download",
     "enlarged",
+    "faults",
+    "fetched",
     "inner_span",
     "input_masks",
     "landings",
+    "lane",
+    "mark",
     "probability",
     "ray_count",
+    "received",
     "rectified_frame",
     "three_channels",
 ]
 T = TypeVar("T")
+QUEUES = False  # what stages are asked for is done when they return
 
 
-def download(found: T) -> T:
-    """What a method found, in NumPy's arrays."""
-    return found
+def received(image: object) -> np.ndarray:
+    """An image or mask of the user's as this backend's array."""
+    return np.asarray(image)
+
+
+def lane(name: str) -> AbstractContextManager[None]:
+    """Within: this thread's work runs beside that of other lanes, where a backend queues work."""
+    return nullcontext()
+
+
+def mark() -> None:
+    """A mark behind the work so far."""
+
+
+def after(mark: None) -> None:
+    """The work to come waits for the mark of another lane."""
+
+
+def fetched(found: T, keep: bool = False) -> Callable[[], T]:
+    """What a method found, a dict of arrays, on its way to NumPy's arrays; where it is when the result is called.
+    keep: it stays in the backend's arrays."""
+    return lambda: found
+
+
+def faults() -> AbstractContextManager[None]:
+    """Within: what a device fails at is raised as DeviceError."""
+    return nullcontext()
 
 
 def depth(disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:

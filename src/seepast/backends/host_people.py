@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import cv2
 import numpy as np
 
 from ..options import PeopleOptions
-from ..people import NO_SAY, SHARE, UNKNOWN
+from ..people import NO_SAY, SHARE, UNKNOWN, Terms
 from ..rectify import NO_RAY
 
-__all__ = ["disagreement", "probability", "share_histograms", "sure_labels", "surface_range", "upsampled"]
+__all__ = ["disagreement", "potentials_by", "probability", "share_histograms", "sure_labels", "surface_range"]
 
 
 def disagreement(saw: np.ndarray, step: int) -> float:
@@ -64,6 +66,19 @@ def upsampled(blocks: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarr
     missing = [(0, max(0, n - m)) for n, m in zip(shape, whole.shape, strict=False)]
     whole = np.pad(whole, [*missing, (0, 0)], "edge") if np.any(missing) else whole
     return np.ascontiguousarray(whole[: shape[0], : shape[1]])
+
+
+def potentials_by(potential: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
+    """`potentials` of a backend, whose `potential` is that of one camera."""
+
+    def potentials(said, dynamic, colour, linear, sure, terms: Terms, stride: int, cell: int, size: int) -> np.ndarray:
+        """`potential` of all cameras: int16 [K, h, w]. linear float32 [K, r, c, 4]: one value per size x size pixels of
+        the images, linear between their centres; the rest as for one camera, with K as first axis."""
+        labels = (upsampled(blocks, size, dynamic.shape[1:]) for blocks in linear)
+        views = zip(said, dynamic, colour, labels, sure, strict=True)
+        return np.stack([potential(*view, terms, stride, cell) for view in views])
+
+    return potentials
 
 
 def probability(belief: np.ndarray, dynamic: np.ndarray, table: np.ndarray, grow: bool) -> np.ndarray:

@@ -21,7 +21,7 @@ from ..geometry import ArrayGeometry
 from ..options import DisparityOptions, Options, PriorOptions, RefocusOptions, SupportOptions
 from ..rectify import NO_RAY
 from ..triangulation import delaunay, with_corners
-from .host import depth, download, input_masks, probability, rectified_frame  # noqa: F401
+from .host import QUEUES, after, depth, faults, fetched, input_masks, lane, mark, probability, received, rectified_frame  # noqa: F401
 
 # The descriptor: where around the pixel which Sobel response is sampled, as (dy, dx). 12 horizontal and 4
 # vertical gradients, since a horizontal array matches along x (Geiger et al. 2010, section 3.1).

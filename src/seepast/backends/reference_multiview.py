@@ -394,6 +394,7 @@ def votes(
     candidates: Candidates,
     skip: int,
     weights: VoteWeights,
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
     """Energies of the view's candidates from what all cameras but `skip` see there: uint8 [n, CHUNK].
 
@@ -404,7 +405,8 @@ def votes(
     E = max(0, base - gain min(s, 2) + gain min(v, 2) + hide min(o, 1)) + volume_weight * costs.
     Without weights.visible, what the view sees itself keeps its costs, as rows of no candidate do.
 
-    static bool [H, W] of the view. s, v and o are counted in units of 1 / FULL_VOTE, E in 128ths.
+    static bool [H, W] of the view. s, v and o are counted in units of 1 / FULL_VOTE, E in 128ths. `out`, where the
+    energies go, may be `costs`.
     """
     height, width = static.shape
     grid, asked = candidates.grid, candidates.mask
@@ -431,7 +433,7 @@ def votes(
     parts = (costs[candidates.rows].astype(np.int32) * weights.volume + 64) >> 7
     found = np.minimum(255, energies[asked].reshape(-1, CHUNK) + parts)
     polled = asked[..., ::CHUNK] & (~static | weights.visible)[..., None]
-    out = costs.copy()
+    out = costs.copy() if out is None else out
     out[candidates.rows[polled[asked[..., ::CHUNK]]]] = found[polled[asked[..., ::CHUNK]]]
     return out
 

@@ -29,7 +29,14 @@ from ..people import (
     lattice,
 )
 from ..rectify import NO_RAY
-from .host_people import disagreement, probability, share_histograms, sure_labels, surface_range, upsampled  # noqa: F401
+from .host_people import (  # noqa: F401
+    disagreement,
+    potentials_by,
+    probability,
+    share_histograms,
+    sure_labels,
+    surface_range,
+)
 from .reference import ray_offsets, rounded_ray
 
 
@@ -218,6 +225,9 @@ def potential(said, dynamic, colour, linear, sure, terms: Terms, stride, cell) -
     u = terms.sure[sure[at] + 1] + said * np.float32(terms.said) + local + terms.colours[colour_bin(colour)]
     fixed = np.floor(u.clip(-limit, limit) * np.float32(NATS) + half).astype(np.int16)
     return np.where(dynamic != NO_RAY, fixed, np.int16(0))
+
+
+potentials = potentials_by(potential)
 
 
 def field(u: np.ndarray, colour, surfaces, costs: FieldCosts, stride) -> np.ndarray:

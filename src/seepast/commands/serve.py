@@ -38,7 +38,7 @@ def serve(
     settings: Annotated[Path | None, Optional] = None,
     preset: Annotated[str | None, Optional] = None,
     reference: Annotated[str | None, Optional] = None,
-    backend: Annotated[Literal["auto", "cpu", "reference"] | None, Optional] = None,
+    backend: Annotated[Literal["auto", "cpu", "cuda", "reference"] | None, Optional] = None,
     dynamic_only: Annotated[bool | None, Parameter(show_default=False)] = None,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), show_default=False)] = None,
     threads: Annotated[int | None, Optional] = None,

@@ -1,0 +1,218 @@
+"""What a frame costs a GPU, counted: operations, bytes of device memory and launches per kernel, and the time that this
+bounds on a GPU of given peaks.
+
+Operations are instructions of a thread in the machine code for compute capability 9.0 (inner loops times their trips),
+bytes those that must cross device memory once; both per unit of work, below. The units (pixels, candidates, what people
+hide) are counted while the cpu backend reconstructs the very frame: all backends do the same work.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from seepast import multiview
+from seepast.backends import cpu_multiview
+from seepast.candidates import CHUNK
+from seepast.frames import Frame
+from seepast.geometry import ArrayGeometry
+from seepast.options import Options
+from seepast.pipeline import Clock
+
+MICROSECONDS_PER_LAUNCH = 4.0  # of the model: what lies between two kernels
+REACHED = (0.5, 0.8)  # of the model: parts of the peak of operations and of memory that good kernels reach
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """Peaks from data sheets: lanes (multiprocessors x 128), clock in GHz, memory in GB/s."""
+
+    name: str
+    lanes: int
+    clock: float
+    memory: float
+
+    def bound(self, work: Work) -> float:
+        """Least ms for one kernel's work."""
+        return max(work.operations / (self.lanes * self.clock * 1e6), work.bytes / (self.memory * 1e6))
+
+    def modelled(self, work: Work) -> float:
+        """Ms with REACHED parts of the peaks, and the launches."""
+        of_operations, of_memory = REACHED
+        computing = work.operations / (of_operations * self.lanes * self.clock * 1e6)
+        moving = work.bytes / (of_memory * self.memory * 1e6)
+        return max(computing, moving) + 1e-3 * MICROSECONDS_PER_LAUNCH * work.launches
+
+
+GPUS = (
+    Gpu("H200", 132 * 128, 1.75, 4800),
+    Gpu("Jetson AGX Orin", 16 * 128, 1.3, 204.8),
+    Gpu("GTX 1060", 10 * 128, 1.7, 192),
+)
+
+
+@dataclass
+class Work:
+    """Of one kernel, or several that belong together, in a frame."""
+
+    operations: float = 0
+    bytes: float = 0
+    launches: int = 0
+
+    def add(self, units: float, operations: float, moved: float, launches: int = 0) -> None:
+        self.operations += units * operations
+        self.bytes += units * moved
+        self.launches += launches
+
+
+@dataclass
+class Counted:
+    """The many-view stages of the cpu backend, which count what their kernels would do on a GPU."""
+
+    cameras: int
+    kernels: dict[str, Work] = field(default_factory=lambda: defaultdict(Work))
+
+    def stages(self) -> Any:
+        """For multiview.see_past."""
+        counting = {name: getattr(self, name) for name in dir(self) if hasattr(cpu_multiview, name)}
+        return SimpleNamespace(**{**vars(cpu_multiview), **counting})
+
+    def describe(self, colour, static):
+        self.kernels["census"].add(static.size, 830, 52, 1)
+        return cpu_multiview.describe(colour, static)
+
+    def windows_of_views(self, disparity, where, ratio, grid, reach, spread, shape):
+        self.kernels["windows"].add(disparity.size, 390, 11, 3)
+        self.kernels["windows"].add(len(disparity) * np.prod(shape), 160, 20)
+        return cpu_multiview.windows_of_views(disparity, where, ratio, grid, reach, spread, shape)
+
+    def volumes(self, features, views, candidates, costs):
+        for of in candidates:
+            per_ray = 58 if self.cameras <= 5 else 75
+            self.kernels["volume"].add(CHUNK * of.chunks, per_ray * (self.cameras - 1), 1)
+            self.kernels["volume"].add(of.active.size, 0, 32 * self.cameras)
+        self.kernels["volume"].launches += 2
+        return cpu_multiview.volumes(features, views, candidates, costs)
+
+    def aggregates(self, costs, images, static, candidates, penalties, paths=8, otherwise=None):
+        for of in candidates:
+            self._smoothing(of, paths)
+        self.kernels["paths"].launches += 3
+        return cpu_multiview.aggregates(costs, images, static, candidates, penalties, paths, otherwise)
+
+    def aggregate(self, costs, image, static, candidates, penalties, paths=8, otherwise=None):
+        self._smoothing(candidates, paths)
+        self.kernels["paths"].launches += 3
+        return cpu_multiview.aggregate(costs, image, static, candidates, penalties, paths, otherwise)
+
+    def _smoothing(self, candidates, paths: int) -> None:
+        active = np.count_nonzero(candidates.active)
+        chunks = int(np.unpackbits(np.ascontiguousarray(candidates.active).view(np.uint8)).sum())
+        more = max(0.0, chunks / max(active, 1) - 2) / 2  # pairs of chunks beyond the first
+        self.kernels["paths"].add(paths * active, 910 + 370 * more, 16)
+        self.kernels["paths"].add(paths * chunks, 0, 2 * CHUNK)
+        self.kernels["winners"].add(chunks, 240 + 70 * (paths == 8), CHUNK * (1 + paths))
+        self.kernels["winners"].add(candidates.active.size, 0, 14)
+        self.kernels["median"].add(candidates.active.size, 430, 4)
+
+    def votes_of_views(self, costs, disparities, confidence, statics, views, candidates, skips, weights):
+        for of in candidates:
+            self._voting(of)
+        self.kernels["votes"].launches += 1
+        return cpu_multiview.votes_of_views(costs, disparities, confidence, statics, views, candidates, skips, weights)
+
+    def votes(self, costs, disparities, confidence, static, geometry, candidates, skip, weights, out=None):
+        self._voting(candidates)
+        self.kernels["votes"].launches += 1
+        return cpu_multiview.votes(costs, disparities, confidence, static, geometry, candidates, skip, weights, out)
+
+    def _voting(self, candidates) -> None:
+        polled = CHUNK * int(np.unpackbits(np.ascontiguousarray(candidates.active).view(np.uint8)).sum())
+        self.kernels["votes"].add(polled, 27 * (self.cameras - 1) + 55, 2)
+        self.kernels["votes"].add(candidates.active.size, 0, 13 + 3 * self.cameras)
+
+    def witnesses_of_views(self, found, static, views, tolerance):
+        self.kernels["witnesses"].add(found.size, 73 * (self.cameras - 1) + 60, 7, 1)
+        return cpu_multiview.witnesses_of_views(found, static, views, tolerance)
+
+    def witnesses(self, disparity, disparities, static, geometry, skip, tolerance):
+        self.kernels["witnesses"].add(disparity.size, 73 * (self.cameras - 1) + 60, 4 + 3 * self.cameras, 1)
+        return cpu_multiview.witnesses(disparity, disparities, static, geometry, skip, tolerance)
+
+    def confidence_of(self, agree, farther, static, lone, doubtful):
+        self.kernels["witnesses"].add(agree.size, 35, 4, 1)
+        return cpu_multiview.confidence_of(agree, farther, static, lone, doubtful)
+
+    def planes_of_views(self, found, agree, colour, static):
+        self.kernels["planes"].add(np.count_nonzero(agree == 0), 6950, 0, 1)
+        self.kernels["planes"].add(found.size, 160, 9)
+        return cpu_multiview.planes_of_views(found, agree, colour, static)
+
+    def planes(self, disparity, trusted, wanted, image, static):
+        self.kernels["planes"].add(np.count_nonzero(wanted), 6950, 0, 1)
+        self.kernels["planes"].add(disparity.size, 160, 9)
+        return cpu_multiview.planes(disparity, trusted, wanted, image, static)
+
+    def labels(self, disparity, disparities, static, geometry, tolerance):
+        self.kernels["labels"].add(disparity.size, 74 * self.cameras + 60, 6 + 3 * self.cameras, 1)
+        return cpu_multiview.labels(disparity, disparities, static, geometry, tolerance)
+
+    def blend(self, colour, rays, clear, near, edge, geometry, disparity, wanted):
+        used = int(cpu_multiview.ray_count(rays)[wanted].sum())
+        self.kernels["blend"].add(used, 450, 0, 1)
+        self.kernels["blend"].add(rays.size, 40, 8 + 4 * self.cameras)
+        return cpu_multiview.blend(colour, rays, clear, near, edge, geometry, disparity, wanted)
+
+    def evidence(self, d, disparities, static, shown, geometry):
+        self.kernels["evidence"].add(d.size, 76 * (self.cameras - 1) + 337, 8 + 3 * self.cameras, 2)
+        return cpu_multiview.evidence(d, disparities, static, shown, geometry)
+
+    def averaged(self, colour, static, size, scale):
+        small = len(colour) * size[0] * size[1]
+        self.kernels["levels"].add(small, 15 * scale**2 + 60, 4 * scale**2 + 4, 1)
+        return cpu_multiview.averaged(colour, static, size, scale)
+
+    def enlarged(self, views, ratio, shape):
+        self.kernels["levels"].add(len(views) * np.prod(shape), 45, 3, 1)
+        return cpu_multiview.enlarged(views, ratio, shape)
+
+    def beside(self, views, reach):
+        turns = -(-reach // 16)
+        self.kernels["levels"].add(views.size, turns * (110 + 14 * reach / turns), 3, turns)
+        return cpu_multiview.beside(views, reach)
+
+    def probability(self, evidence, table):
+        self.kernels["evidence"].add(evidence.size, 19, 5, 1)
+        return cpu_multiview.probability(evidence, table)
+
+    def fill_unseen(self, background, coverage, disparity):
+        self.kernels["blend"].add(coverage.size, 21, 1, 1)
+        return cpu_multiview.fill_unseen(background, coverage, disparity)
+
+    def landings(self, hidden, disparity, geometry):
+        self.kernels["levels"].add(hidden.size, 25, 6, 2)
+        self.kernels["levels"].add(np.count_nonzero(hidden), 111 * self.cameras, 0)
+        return cpu_multiview.landings(hidden, disparity, geometry)
+
+    def clear_of_masks(self, static):
+        self.kernels["levels"].add(static.size, 25, 2, 1)
+        return cpu_multiview.clear_of_masks(static)
+
+    def inner_span(self, disparity, agree, static, scale, reach, percentiles):
+        self.kernels["levels"].add(disparity.size, 30, 4, 3)
+        return cpu_multiview.inner_span(disparity, agree, static, scale, reach, percentiles)
+
+
+def counted(frame: Frame, geometry: ArrayGeometry, options: Options) -> dict[str, Work]:
+    """Work by kernel of one frame of rectified views."""
+    counts = Counted(geometry.cameras)
+    cubic = options.rectify.interpolation == "cubic"
+    counts.kernels["rectify"].add(frame.dynamic.size, 620 if cubic else 250, 16, 1)  # of images and masks
+    counts.kernels["rectify"].add(frame.dynamic.size, 130, 10, 1)  # of masks, back
+    counts.kernels["evidence"].add(frame.dynamic[0].size, 37, 8, 1)  # depth
+    multiview.see_past(frame, geometry, options, counts.stages(), False, Clock())
+    return dict(counts.kernels)

@@ -1,0 +1,103 @@
+"""What lies between the many-view stages on the GPU: levels, and masks moved between views.
+
+Names, arguments and results are those of host.py; arrays are the device's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from ..geometry import ArrayGeometry
+from ..gpu import device
+from ..gpu.launches import int32, launch_line, launch_tiles, view_table
+from ..gpu.morphology import dilated, eroded
+from ..gpu.tables import constant
+
+__all__ = ["averaged", "beside", "clear_of_masks", "enlarged", "inner_span", "landings", "three_channels"]
+
+BINS = 1 << 16
+MOST_RADIUS = 15  # level.cu grow_disc
+
+
+def three_channels(colour):
+    """Grey views as BGR: uint8 [K, H, W, C] -> [K, H, W, 3]."""
+    if colour.shape[-1] == 3:
+        return colour
+    xp = device.current().xp
+    return xp.ascontiguousarray(xp.broadcast_to(colour, (*colour.shape[:-1], 3)))
+
+
+def averaged(colour, static, size: tuple[int, int], scale: int):
+    xp, K, (width, height) = device.current().xp, len(colour), size
+    small, small_static = xp.empty((K, height, width, 3), np.uint8), xp.empty((K, height, width), bool)
+    launch_tiles(
+        "level", "averaged", (K, height, width), colour, static,
+        *int32(*static.shape[1:], scale, height, width), small, small_static,
+    )  # fmt: skip
+    return small, small_static
+
+
+def enlarged(views, ratio: int, shape: tuple[int, ...]):
+    """Views uint16 or bool."""
+    if ratio == 1:
+        return views
+    out = device.current().xp.empty((len(views), *shape), views.dtype)
+    kernel = {1: "enlarge_bytes", 2: "enlarge_words"}[views.dtype.itemsize]
+    launch_tiles("level", kernel, out.shape, views, *int32(*views.shape[1:], ratio, *shape), out)
+    return out
+
+
+def beside(views, reach: int):
+    return dilated(views, reach)
+
+
+def landings(hidden, disparity, geometry: ArrayGeometry):
+    out = device.current().xp.zeros((geometry.cameras, *hidden.shape), bool)
+    launch_tiles(
+        "level", "landings", (1, *hidden.shape), *view_table(geometry), hidden, disparity,
+        *int32(geometry.cameras, *hidden.shape), out,
+    )  # fmt: skip
+    return out
+
+
+def clear_of_masks(static):
+    return grown(static, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5)), erode=True)
+
+
+def grown(masks, disc: np.ndarray, erode: bool = False):
+    """bool [V, H, W] dilated, or eroded, by a disc uint8 [2 r + 1, 2 r + 1]; what is outside never counts."""
+    out, radius = device.current().xp.empty_like(masks), len(disc) // 2
+    reach = constant(disc.sum(1, dtype=np.int32) // 2 - (disc.sum(1) == 0).astype(np.int32))
+    small = radius <= MOST_RADIUS
+    launch_tiles(
+        "level", "grow_disc" if small else "grow_large_disc", masks.shape, masks, reach,
+        *int32(radius, *masks.shape[1:], erode), out, rows=32 if small else 8,
+    )  # fmt: skip
+    return out
+
+
+def inner_span(disparity, agree, static, scale: int, reach: int, percentiles: Sequence[float]) -> np.ndarray | None:
+    """float64 [n] on the host, which waits for 2 n + 1 numbers: they decide how much is launched next."""
+    xp, (height, width) = device.current().xp, disparity.shape[1:]
+    small = xp.ascontiguousarray(static[:, scale // 2 :: scale, scale // 2 :: scale][:, :height, :width])
+    bins, found = xp.zeros(BINS, np.int32), xp.empty(1 + 2 * len(percentiles), np.int32)
+    shares = np.asarray(percentiles, np.float64) / 100
+    launch_line(
+        "span", "count_disparities", disparity.size, disparity, agree, eroded(small, reach),
+        np.int32(disparity.size), bins,
+    )  # fmt: skip
+    device.current().launch(
+        "span", "ranks", grid=(1,), block=(1024,), args=[bins, constant(shares), np.int32(len(shares)), found]
+    )
+    count, *values = device.current().download(found).tolist()
+    return interpolated(shares * (count - 1), np.array(values, np.float64).reshape(-1, 2)) if count else None
+
+
+def interpolated(ranks: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What numpy.percentile makes of ranks [n] and the values [n, 2] at floor(rank) and the next: float64 [n]."""
+    low, high = values.T
+    share, step = ranks - np.floor(ranks), high - low
+    return np.where(share >= 0.5, high - step * (1 - share), low + step * share)

@@ -1,0 +1,48 @@
+"""The many-view stages on the GPU under the names of reference_multiview.py; arrays are the device's."""
+
+from __future__ import annotations
+
+from .cuda import fill_unseen, probability
+from .cuda_levels import averaged, beside, clear_of_masks, enlarged, inner_span, landings, three_channels
+from .cuda_matching import (
+    aggregate,
+    aggregates,
+    describe,
+    everything,
+    volume,
+    volumes,
+    windows,
+    windows_of_views,
+)
+from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count
+from .cuda_votes import graded_of_views, labels, votes, votes_of_views, witnesses
+
+__all__ = [
+    "aggregate",
+    "aggregates",
+    "averaged",
+    "beside",
+    "blend",
+    "clear_of_masks",
+    "describe",
+    "enlarged",
+    "everything",
+    "evidence",
+    "fill_unseen",
+    "graded_of_views",
+    "inner_span",
+    "labels",
+    "landings",
+    "planes",
+    "planes_of_views",
+    "probability",
+    "ray_count",
+    "three_channels",
+    "volume",
+    "volumes",
+    "votes",
+    "votes_of_views",
+    "windows",
+    "windows_of_views",
+    "witnesses",
+]
