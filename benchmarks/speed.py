@@ -163,6 +163,12 @@ def sgbm(left: np.ndarray, right: np.ndarray, mode: int) -> Milliseconds:
     return {TOTAL: 1e3 * (time.perf_counter() - start)}
 
 
+def sgbm_clock() -> Callable[[], float]:
+    """What says how long one rectified pair of this size takes SGBM, 3-way, at this moment: how busy the machine is."""
+    left, right = _outer_pair(scenes.make(CAMERAS, SIZE))
+    return lambda: sgbm(left, right, cv2.STEREO_SGBM_MODE_SGBM_3WAY)[TOTAL]
+
+
 def interleaved(tasks: Mapping[Label, Task], rounds: int) -> dict[Label, list[Milliseconds]]:
     """Every round's times; the tasks run in turn, after one run of each that does not count."""
     for label, task in tasks.items():

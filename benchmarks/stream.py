@@ -4,7 +4,8 @@
 
 Milliseconds per frame of reading alone, of reconstructing alone, of both and writing one after the other, and of
 `seepast run`. The goal: run takes at most 1.2 times the slower of reading and reconstructing. All run in turn, round
-after round; medians. Without RECORDING, the scene of speed.py, written once per frame.
+after round, with SGBM (3-way, one pair of 720x540) among them to tell how busy the machine is; medians. Without
+RECORDING, the scene of speed.py, written once per frame.
 """
 
 from __future__ import annotations
@@ -27,14 +28,16 @@ from seepast.export import FolderWriter
 from seepast.options import Options
 from seepast.pipeline import Reconstructor
 from seepast.sequence import Settings, describe_run, process
-from speed import CAMERAS, RANGE, SIZE
+from speed import CAMERAS, RANGE, SIZE, sgbm_clock
 
-HEADER = ("preset", "read", "reconstruct", "one by one", "stream", "run", "run / the slower")
+SGBM = "SGBM pair"
+HEADER = ("preset", "read", "reconstruct", "one by one", "stream", "run", SGBM, "run / the slower")
 
 
 def main() -> None:
     arguments = _arguments()
     words = machine()
+    arguments.clock = sgbm_clock()
     with _recording(arguments.recording, arguments.frames) as folder:
         dataset = open_dataset(folder)
         rows = [_row(dataset, preset, arguments) for preset in arguments.presets]
@@ -80,8 +83,9 @@ def _row(dataset: Dataset, preset: str, arguments: argparse.Namespace) -> list[s
     dataset.stamps = dataset.stamps[: arguments.frames]
     tasks = _tasks(dataset, options)
     tasks["reconstruct"]()  # what only a first frame needs does not count
-    found: dict[str, list[float]] = {name: [] for name in tasks}
+    found: dict[str, list[float]] = {name: [] for name in (*tasks, SGBM)}
     for _ in range(arguments.rounds):
+        found[SGBM].append(arguments.clock())
         for name, task in tasks.items():
             start = time.perf_counter()
             task()

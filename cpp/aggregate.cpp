@@ -1,14 +1,15 @@
 // Stage "aggregate" of the many-view method: semi-global matching along 8 or 4 paths (Hirschmueller 2008).
 //
 // Two sweeps over the rows: one goes down with the paths from above, the other up with those from below. They
-// start at once, on two threads; each stores its sums until they meet, and from there on finds the other's, adds
-// them and those along the row, of both directions, and picks each pixel's candidate. What all candidates of a
-// pixel have in common does not matter: so a path that enters the image, or comes from a pixel that is not
-// matched, may begin with any number.
+// start at once, on two threads; each stores its sums until they meet, and from there on finds the other's,
+// adds them and those along the row, of both directions, and picks each pixel's candidate. What all
+// candidates of a pixel have in common does not matter: so a path that enters the image, or comes from a
+// pixel that is not matched, may begin with any number.
 //
-// A path from row to row holds its costs in one place per column, or diagonal: dense, kBeyond where the pixel is
-// not matched. So a pixel reads the costs before it, and those beside them, without asking where that one was
-// matched. Neighbours mostly are matched at the same chunks: such runs of pixels have no branches in them.
+// A path from row to row holds its costs in one place per column, or diagonal: dense, kBeyond where the pixel
+// is not matched. So a pixel reads the costs before it, and those beside them, without asking where that one
+// was matched. Neighbours mostly are matched at the same chunks: such runs of pixels have no branches in
+// them.
 #include <algorithm>
 #if defined(__x86_64__)
 #include <immintrin.h>
@@ -25,36 +26,37 @@ constexpr int16_t kBeyond = 20000;  // path cost where a pixel is not matched: m
 constexpr int kGuard = kChunk;      // entries of it between two pixels' candidates
 constexpr int kRows = 4;            // that go along together
 constexpr int kColourSteps = 766;   // entries of Penalties::large
-constexpr int kBlockOfSteps = 32;
-constexpr size_t kLine = 32;  // entries of a cache line
+constexpr int kBlockOfSteps = 32;   // pixels whose penalties are computed together
+constexpr size_t kLine = 32;        // entries of a cache line
+constexpr size_t kRunEntries = 8;   // entries of a Run
 
 size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
-
-constexpr size_t kRunEntries = 8;  // of a Run
 
 // Where things lie in the scratch memory, in entries.
 struct Layout {
   Layout(int height, int width, int count, int paths, size_t chunks)
-      : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard), width(width) {
+      : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard) {
     slots = width + (vertical == 3 ? height : 0);
     entries = lines(kGuard + slots * pitch);
     line = lines(2 * kGuard + count);
     steps = lines(width + 2);
     plane = steps * (height + 1);
-    along = std::min(chunks, static_cast<size_t>(kRows) * width * (count / kChunk)) * kChunk;
-    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) + along;
+    totals = std::min(chunks, static_cast<size_t>(width) * (count / kChunk)) * kChunk;
+    along = std::min(chunks * kChunk, kRows * totals);
+    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) +
+            totals + along;
     sums = chunks * kChunk;
     total = 2 * sweep + vertical * plane + sums + kLine;
   }
 
-  size_t vertical, pitch, width;
-  size_t slots, entries;        // of one path from row to row
-  size_t plane;                 // penalties from row to row
-  size_t line, steps, along;    // of one row; path costs, penalties, and the sums of kRows rows
+  size_t vertical, pitch;             // paths from row to row; entries of a column
+  size_t slots, entries;              // of one path from row to row
+  size_t plane;                       // penalties from row to row
+  size_t line, steps, totals, along;  // of one row; path costs, penalties, and the sums of kRows rows
   size_t sweep, sums, total;
 };
 
-constexpr int16_t kNone = -20000;  // in place of the sum of a candidate that is not active: no vertex beside it
+constexpr int16_t kNone = -20000;  // the sum of a candidate that is not active: there is no vertex beside it
 
 // Sum and number of a pixel's lowest candidate, and the sums beside it.
 struct Pick {
@@ -76,7 +78,6 @@ struct Line {
   int16_t* entries;
   int16_t* sums;  // of all chunks, though there is memory for some rows'
   uint64_t held;  // chunks of `entries` that are not beyond
-  int16_t low;    // the lowest of them
 };
 
 // A row, and the paths into it from the row before: from x - dx.
@@ -89,23 +90,24 @@ struct Row {
   int16_t small;
   Grid grid;
   int dx[3];
-  int16_t* entries[3];  // where column 0 has its place
+  int16_t* entries[3];      // where column 0 has its place
   const int16_t* large[3];  // P2, [W]
   ptrdiff_t pitch;
   uint8_t* saved_bytes;  // the sums of the paths from row to row: bytes,
   int16_t* saved;        // or, where they need more, this
-  int16_t* along;        // the sums of those along it, as in Line; in the end of all
-  Run* runs;      // [W]
-  Pick* picks;    // [W]
-  uint16_t* out;  // nullptr: save the sums
+  const int16_t* along;  // the sums of those along it, as in Line
+  int16_t* totals;       // of all paths, likewise
+  Run* runs;             // [W]
+  Pick* picks;           // [W]
+  uint16_t* out;         // nullptr: save the sums
 };
 
 // P2 by the colour step, and behind them that between pixels that are not static both.
 using Large = int16_t[kColourSteps + 1];
 
 // P2 between n pixels and the others, `other` from them.
-inline void steps_of(const uint8_t* a, const uint8_t* is_static, int n,
-                                                    ptrdiff_t other, const Large& large, int16_t* out) {
+inline void steps_of(const uint8_t* a, const uint8_t* is_static, int n, ptrdiff_t other, const Large& large,
+                     int16_t* out) {
   const uint8_t *b = a + 3 * other, *s = is_static, *t = s + other;
   uint16_t step[kBlockOfSteps];
   for (int i = 0; i < n; ++i) {
@@ -120,6 +122,7 @@ inline void steps_of(const uint8_t* a, const uint8_t* is_static, int n,
 #if defined(SEEPAST_V4)
 #pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wmaybe-uninitialized"  // in GCC's own headers
+#pragma GCC diagnostic ignored "-Wuninitialized"
 #pragma GCC push_options
 #pragma GCC target("arch=x86-64-v4")
 namespace v4 {
@@ -185,8 +188,8 @@ int middle(const View& view) {
 
 // One sweep: direction 1 goes down, -1 up.
 struct Sweep {
-  Sweep(const View& view, const Grid& grid, const Large& large, int small, const Layout& layout, int direction,
-        int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
+  Sweep(const View& view, const Grid& grid, const Large& large, int small, const Layout& layout,
+        int direction, int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
       : view(view),
         grid(grid),
         large(large),
@@ -202,7 +205,8 @@ struct Sweep {
         line_steps(line_entries + kRows * layout.line),
         picks(line_steps + kRows * layout.steps),
         runs(picks + lines(4 * view.width)),
-        along(runs + lines(kRunEntries * 3 * view.width)) {}
+        totals(runs + lines(kRunEntries * 3 * view.width)),
+        along(totals + layout.totals) {}
 
   void begin() const {
     std::fill_n(entries, layout.vertical * layout.entries, kBeyond);
@@ -221,19 +225,23 @@ struct Sweep {
     if (direction > 0 && to > 0 && to < view.height) steps_between(to);
   }
 
-  // Those from n = `from` on: they are added to what was saved, with those along the rows, and the winners are
-  // written.
+  // Those from n = `from` on: they are added to what was saved, with those along the rows, and the winners
+  // are written.
   void second(int from, uint16_t* out) const {
     for (int n = from; n < view.height; n += kRows) {
       const int count = std::min(kRows, view.height - n);
       const int top = std::min(y_of(n), y_of(n + count - 1));
-      int16_t* sums = reinterpret_cast<int16_t*>(reinterpret_cast<uintptr_t>(along) -
-                                                 view.start[view.at(top)] * kChunk * sizeof(int16_t));
+      int16_t* sums = numbered(along, view.start[view.at(top)]);
       Line rows[kRows];
       for (int i = 0; i < count; ++i) rows[i] = line(n + i, i, sums);
       run.along(rows, count, view.width, reinterpret_cast<Run*>(runs), small);
       for (int i = 0; i < count; ++i) run.down(row(n + i, sums, out), layout.vertical == 3);
     }
+  }
+
+  // Where chunk 0 would be, if there were memory for all and chunk `first` were at `sums`.
+  static int16_t* numbered(int16_t* sums, int first) {
+    return reinterpret_cast<int16_t*>(reinterpret_cast<uintptr_t>(sums) - sizeof(int16_t) * kChunk * first);
   }
 
   int y_of(int n) const { return direction > 0 ? n : view.height - 1 - n; }
@@ -248,7 +256,7 @@ struct Sweep {
     return l;
   }
 
-  Row row(int n, int16_t* sums, uint16_t* out) const {
+  Row row(int n, const int16_t* sums, uint16_t* out) const {
     const int y = y_of(n);
     const size_t at = view.at(y);
     Row r{};
@@ -265,6 +273,7 @@ struct Sweep {
     }
     r.saved_bytes = bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
     r.along = sums;
+    r.totals = numbered(totals, view.start[at]);
     r.picks = reinterpret_cast<Pick*>(picks), r.runs = reinterpret_cast<Run*>(runs);
     r.out = out ? out + at : nullptr;
     return r;
@@ -295,7 +304,7 @@ struct Sweep {
   Loops run;
   int16_t* saved;
   bool bytes;
-  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *along;
+  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *totals, *along;
 };
 
 }  // namespace
@@ -319,8 +328,9 @@ void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_sta
   const int most = *std::max_element(large, large + kColourSteps + 1);
   const bool bytes = layout.vertical == 1 && most < 256;
   int16_t *planes = base + 2 * layout.sweep, *saved = planes + layout.vertical * layout.plane;
-  const Sweep sweeps[2] = {{view, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
-                           {view, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
+  const Sweep sweeps[2] = {
+      {view, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
+      {view, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
   const int half = middle(view), met[2] = {half, height - half};  // rows that each has done when they meet
 #pragma omp parallel for schedule(static, 1)
   for (int s = 0; s < 2; ++s) sweeps[s].first(met[s]);

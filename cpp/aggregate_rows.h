@@ -21,9 +21,9 @@ V splat(int16_t value);
 template <class V>
 V widened(const uint8_t* from);
 
-// Of every kind of vector: `after` and `before` move the lanes by one, with the last of the vector before, or the
-// first of the one after, in the free place; `lowest` has the lowest lane in all, which must be 0 or more;
-// `equal` has a bit per lane; the lanes that `store_bytes` takes are below 256.
+// Of every kind of vector: `after` and `before` move the lanes by one, with the last of the vector before, or
+// the first of the one after, in the free place; `lowest` has the lowest lane in all, which must be 0 or
+// more; `equal` has a bit per lane; the lanes that `store_bytes` takes are below 256.
 #ifdef SEEPAST_AVX2
 typedef int16_t Lanes __attribute__((vector_size(32), may_alias));
 
@@ -54,8 +54,8 @@ inline uint32_t equal(Lanes a, Lanes b) {
   return _mm256_cmpeq_epi16_mask(reinterpret_cast<__m256i>(a), reinterpret_cast<__m256i>(b));
 #else
   const __m256i same = reinterpret_cast<__m256i>(a == b);
-  return static_cast<uint32_t>(_mm_movemask_epi8(
-      _mm_packs_epi16(_mm256_castsi256_si128(same), _mm256_extracti128_si256(same, 1))));
+  return static_cast<uint32_t>(
+      _mm_movemask_epi8(_mm_packs_epi16(_mm256_castsi256_si128(same), _mm256_extracti128_si256(same, 1))));
 #endif
 }
 inline void store_bytes(uint8_t* to, Lanes v) {
@@ -71,7 +71,6 @@ struct Lanes {
 };
 inline Lanes operator+(Lanes a, Lanes b) { return {a.a + b.a, a.b + b.b}; }
 inline Lanes operator-(Lanes a, Lanes b) { return {a.a - b.a, a.b - b.b}; }
-inline Lanes operator<<(Lanes a, int by) { return {a.a << by, a.b << by}; }
 
 template <>
 inline Lanes splat<Lanes>(int16_t value) {
@@ -108,7 +107,8 @@ inline Lanes lowest(Lanes a) {
 }
 inline Bytes packed(Lanes a) {
 #if defined(__SSE2__)
-  return reinterpret_cast<Bytes>(_mm_packus_epi16(reinterpret_cast<__m128i>(a.a), reinterpret_cast<__m128i>(a.b)));
+  return reinterpret_cast<Bytes>(
+      _mm_packus_epi16(reinterpret_cast<__m128i>(a.a), reinterpret_cast<__m128i>(a.b)));
 #else
   return __builtin_shufflevector(reinterpret_cast<Bytes>(a.a), reinterpret_cast<Bytes>(a.b), 0, 2, 4, 6, 8,
                                  10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
@@ -203,23 +203,31 @@ inline int same_until(const uint64_t* active, int x, int end, uint64_t chunks) {
   return x;
 }
 
-// Calls use.template operator()<V, N>(first) for the chunks of a pixel that are N times those of a V, one after
-// another, or any() where they are not.
+// Calls use.template operator()<V, N>(first) for the chunks of a pixel that are N times those of a V, one
+// after another, or any() where they are not.
 template <class Use, class Any>
 inline void by_chunks(uint64_t active, Use use, Any any) {
   const int first = __builtin_ctzll(active) * kChunk;
   switch (active >> __builtin_ctzll(active)) {
-    case 1: return use.template operator()<Lanes, 1>(first);
-    case 7: return use.template operator()<Lanes, 3>(first);
-    case 31: return use.template operator()<Lanes, 5>(first);
+    case 1:
+      return use.template operator()<Lanes, 1>(first);
+    case 7:
+      return use.template operator()<Lanes, 3>(first);
+    case 31:
+      return use.template operator()<Lanes, 5>(first);
 #ifdef SEEPAST_AVX512
-    case 3: return use.template operator()<Wide, 1>(first);
-    case 15: return use.template operator()<Wide, 2>(first);
+    case 3:
+      return use.template operator()<Wide, 1>(first);
+    case 15:
+      return use.template operator()<Wide, 2>(first);
 #else
-    case 3: return use.template operator()<Lanes, 2>(first);
-    case 15: return use.template operator()<Lanes, 4>(first);
+    case 3:
+      return use.template operator()<Lanes, 2>(first);
+    case 15:
+      return use.template operator()<Lanes, 4>(first);
 #endif
-    default: return any();
+    default:
+      return any();
   }
 }
 
@@ -235,27 +243,27 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   int16_t* const sums = rows[0].sums;
   const int32_t* start[R];
   const int16_t* large[R];
-  V here[R][N], beside[R][N], low[R];
+  V here[R][N], beside[R][N];
   for (int r = 0; r < R; ++r) {
     start[r] = rows[r].start, large[r] = rows[r].large;
     const int16_t* from = rows[r].entries + first;
-    for (int i = 0; i < N; ++i) here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
-    low[r] = splat<V>(rows[r].low);
+    for (int i = 0; i < N; ++i)
+      here[r][i] = load<V>(from + i * L), beside[r][i] = least_beside<V>(from + i * L);
     clear(rows[r].entries, rows[r].held);
   }
   for (;; x += direction) {
     for (int r = 0; r < R; ++r) {
       const ptrdiff_t at = static_cast<ptrdiff_t>(start[r][x]) * kChunk;
-      const V far = low[r] + splat<V>(large[r][x]);
+      const V far = splat<V>(large[r][x]);
       V minimum;
       for (int i = 0; i < N; ++i) {
-        const V way = least(least(here[r][i], far), beside[r][i] + step) - low[r];
+        here[r][i] = least(least(here[r][i], far), beside[r][i] + step) + widened<V>(costs + at + i * L);
         int16_t* sum = sums + at + i * L;
-        store(sum, kAdd ? load<V>(sum) + way : way);
-        here[r][i] = way + widened<V>(costs + at + i * L);
+        store(sum, kAdd ? load<V>(sum) + here[r][i] : here[r][i]);
         minimum = i ? least(minimum, here[r][i]) : here[r][i];
       }
-      low[r] = lowest(minimum);
+      minimum = lowest(minimum);
+      for (int i = 0; i < N; ++i) here[r][i] = here[r][i] - minimum;
     }
     if (!--count) break;
     for (int r = 0; r < R; ++r)
@@ -265,12 +273,12 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   }
   for (int r = 0; r < R; ++r) {
     for (int i = 0; i < N; ++i) store(rows[r].entries + first + i * L, here[r][i]);
-    rows[r].low = first_lane(low[r]);
     rows[r].held = rows[r].active[x];
   }
 }
 
-// Path costs of the chunks `active`, above their lowest, from those before, over them: sums are set or added to.
+// Path costs of the chunks `active` from those before, over them, above their lowest: sums are set or added
+// to.
 template <bool kAdd>
 inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t large, int16_t small,
                      const uint8_t* cost, int16_t* sum) {
@@ -285,8 +293,8 @@ inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t l
   Lanes minimum = splat<Lanes>(kBeyond);
   way = ways;
   for (uint64_t rest = active; rest; rest &= rest - 1, way += kChunk, cost += kChunk, sum += kChunk) {
-    const Lanes w = load<Lanes>(way), here = w + widened<Lanes>(cost);
-    store(sum, kAdd ? load<Lanes>(sum) + w : w);
+    const Lanes here = load<Lanes>(way) + widened<Lanes>(cost);
+    store(sum, kAdd ? load<Lanes>(sum) + here : here);
     store(way, here);
     minimum = least(minimum, here);
   }
@@ -298,11 +306,6 @@ inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t l
 
 template <bool kAdd>
 void along_any(Line& row, int x, int count, int direction, int16_t small) {
-  for (uint64_t rest = row.held; rest; rest &= rest - 1) {
-    int16_t* e = row.entries + __builtin_ctzll(rest) * kChunk;
-    store(e, load<Lanes>(e) - splat<Lanes>(row.low));
-  }
-  row.low = 0;
   for (; count; --count, x += direction) {
     const ptrdiff_t at = static_cast<ptrdiff_t>(row.start[x]) * kChunk;
     step_any<kAdd>(row.entries, row.held, row.active[x], row.large[x], small, row.costs + at, row.sums + at);
@@ -333,7 +336,8 @@ inline void along_same(Line* rows, int from, int end, int16_t small) {
       });
 }
 
-// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how many.
+// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how
+// many.
 template <int R>
 int split(const Line* rows, int x, int end, Run* runs) {
   const auto alike = [&](int at) {
@@ -350,15 +354,16 @@ int split(const Line* rows, int x, int end, Run* runs) {
       x = end;
       for (int r = 0; r < R; ++r) x = same_until(rows[r].active, from, x, active);
     } else {
-      while (++x < end && !alike(x)) {}
+      while (++x < end && !alike(x)) {
+      }
     }
     runs[n++] = {from, x, same};
   }
   return n;
 }
 
-// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows are not
-// alike, in twos or one by one.
+// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows
+// are not alike, in twos or one by one.
 template <int R, bool kAdd>
 void along(Line* rows, int from, int end, Run* runs, int16_t small) {
   const int n = split<R>(rows, from, end, runs);
@@ -391,20 +396,22 @@ void along_rows(Line* rows, int count, int width, Run* runs, int16_t small) {
 
 // ---------------------------------------------------------------------------------------- from row to row
 
+// The sum of `costs` of a pixel's path, or paths, is saved; in bytes without the matching cost, which may not
+// fit.
 template <class V>
-inline void save(uint8_t* to, V v) {
-  store_bytes(to, v);
+inline void save(uint8_t* to, V costs, V cost) {
+  store_bytes(to, costs - cost);
 }
 template <class V>
-inline void save(int16_t* to, V v) {
-  store(to, v);
+inline void save(int16_t* to, V costs, V) {
+  store(to, costs);
 }
 template <class V>
-inline V saved(const uint8_t* from) {
-  return widened<V>(from);
+inline V saved(const uint8_t* from, V cost) {
+  return widened<V>(from) + cost;
 }
 template <class V>
-inline V saved(const int16_t* from) {
+inline V saved(const int16_t* from, V) {
   return load<V>(from);
 }
 
@@ -416,7 +423,8 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
   const V step = splat<V>(r.small);
   const uint8_t* const costs = r.costs;
   const int32_t* const start = r.start;
-  int16_t* const along = r.along;
+  const int16_t* const along = r.along;
+  int16_t* const totals = r.totals;
   const ptrdiff_t pitch = r.pitch;
   const int16_t* large[P];
   int16_t* entries[P];
@@ -430,9 +438,8 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
       const V far = splat<V>(large[p][x]);
       V here[N], minimum;
       for (int i = 0; i < N; ++i) {
-        const V way = least(least(load<V>(e + i * L), far), least_beside<V>(e + i * L) + step);
-        total[i] = p ? total[i] + way : way;
-        here[i] = way + cost[i];
+        here[i] = least(least(load<V>(e + i * L), far), least_beside<V>(e + i * L) + step) + cost[i];
+        total[i] = p ? total[i] + here[i] : here[i];
         minimum = i ? least(minimum, here[i]) : here[i];
       }
       minimum = lowest(minimum);
@@ -441,10 +448,10 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
     }
     for (int i = 0; i < N; ++i) {
       if constexpr (kLast)
-        store(along + at + i * L, total[i] + load<V>(along + at + i * L) + (cost[i] << (P == 1 ? 2 : 3)) +
-                                      saved<V>(to + at + i * L));
+        store(totals + at + i * L,
+              total[i] + load<V>(along + at + i * L) + saved<V>(to + at + i * L, cost[i]));
       else
-        save(to + at + i * L, total[i]);
+        save(to + at + i * L, total[i], cost[i]);
     }
   }
 }
@@ -462,12 +469,11 @@ void down_any(const Row& r, Saved* to, int x, int end) {
     }
     const int16_t* sum = total;
     for (uint64_t rest = active; rest; rest &= rest - 1, sum += kChunk, at += kChunk) {
-      const Lanes t = load<Lanes>(sum);
+      const Lanes t = load<Lanes>(sum), cost = widened<Lanes>(r.costs + at);
       if constexpr (kLast)
-        store(r.along + at, t + load<Lanes>(r.along + at) + (widened<Lanes>(r.costs + at) << (P == 1 ? 2 : 3)) +
-                                saved<Lanes>(to + at));
+        store(r.totals + at, t + load<Lanes>(r.along + at) + saved<Lanes>(to + at, cost));
       else
-        save(to + at, t);
+        save(to + at, t, cost);
     }
   }
 }
@@ -476,11 +482,11 @@ void down_any(const Row& r, Saved* to, int x, int end) {
 template <class V, int N>
 inline void pick_run(const Row& r, int x, int end, int first) {
   constexpr int L = kLanes<V>;
-  const int16_t* const along = r.along;
+  const int16_t* const totals = r.totals;
   const int32_t* const start = r.start;
   Pick* const picks = r.picks;
   for (; x < end; ++x) {
-    const int16_t* sums = along + static_cast<ptrdiff_t>(start[x]) * kChunk;
+    const int16_t* sums = totals + static_cast<ptrdiff_t>(start[x]) * kChunk;
     V sum[N], minimum;
     for (int i = 0; i < N; ++i) {
       sum[i] = load<V>(sums + i * L);
@@ -499,7 +505,7 @@ inline void pick_run(const Row& r, int x, int end, int first) {
 
 inline void pick_any(const Row& r, int x, int end) {
   for (; x < end; ++x) {
-    const int16_t* sums = r.along + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
+    const int16_t* sums = r.totals + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
     const uint64_t active = r.active[x];
     int best = 0, at = 0, place = 0;
     for (uint64_t rest = active; rest; rest &= rest - 1, at += kChunk) {
@@ -508,8 +514,8 @@ inline void pick_any(const Row& r, int x, int end) {
       best = at + __builtin_ctz(equal(sum, low));
       place = best - at + __builtin_ctzll(rest) * kChunk;
     }
-    const bool inner = place > 0 && place + 1 < kMostChunks * kChunk && (active >> (place - 1) / kChunk & 1) &&
-                       (active >> (place + 1) / kChunk & 1);
+    const bool inner = place > 0 && place + 1 < kMostChunks * kChunk &&
+                       (active >> (place - 1) / kChunk & 1) && (active >> (place + 1) / kChunk & 1);
     r.picks[x] = {inner ? sums[best - 1] : kNone, sums[best], sums[best + 1], static_cast<int16_t>(place)};
   }
 }
@@ -543,7 +549,8 @@ inline void places(const Row& r, int from, int to) {
   for (int x = from; x < to; ++x) {
     const int left = picks[x].left, right = picks[x].right, lowest = picks[x].lowest;
     const int bend = left + right - 2 * lowest;
-    // floor(half (left - right) / bend + 1/2) + half; a quotient of such numbers is never rounded up to a whole
+    // floor(half (left - right) / bend + 1/2) + half; a quotient of such numbers is never rounded up to a
+    // whole
     const double whole = bend > 0 ? 4 * half * (left - lowest) + bend : 2 * half + 1;
     const double by = bend > 0 ? 2 * bend : 2;
     out[x] = static_cast<uint16_t>(start + step * picks[x].best + static_cast<int>(whole / by));
@@ -569,7 +576,9 @@ void down(const Row& r, Saved* to) {
   for (const Run* run = r.runs; run != end; ++run)
     by_chunks(
         r.active[run->from],
-        [&]<class V, int N>(int first) { down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first); },
+        [&]<class V, int N>(int first) {
+          down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first);
+        },
         [&] { down_any<P, Saved, kLast>(r, to, run->from, run->end); });
   forget<P>(r);
   if (!kLast) return;
@@ -600,12 +609,11 @@ void down_row(const Row& r, bool eight) {
     down<1>(r, r.saved);
 }
 
-
 // ----------------------------------------------------------------------------------------------- penalties
 
 #ifdef SEEPAST_AVX2
-// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a block: no
-// byte behind them is read.
+// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a
+// block: no byte behind them is read.
 inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
   const int second = late ? 8 : 12;
   const auto load = [&](const uint8_t* from) {
@@ -613,11 +621,12 @@ inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
         _mm256_castsi128_si256(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))),
         _mm_loadu_si128(reinterpret_cast<const __m128i*>(from + second)), 1);
   };
-  const __m256i m = load(a), n = load(b), step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
+  const __m256i m = load(a), n = load(b),
+                step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
   const char k = late ? 4 : 0;
-  const __m256i place = _mm256_setr_epi8(
-      0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3, k + 4, k + 5, -1, k + 6,
-      k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
+  const __m256i place =
+      _mm256_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3,
+                       k + 4, k + 5, -1, k + 6, k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
   const __m256i parts = _mm256_shuffle_epi8(step, place);
   return _mm256_madd_epi16(_mm256_maddubs_epi16(parts, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
 }

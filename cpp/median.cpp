@@ -7,7 +7,7 @@
 namespace seepast {
 namespace {
 
-// Vectors of as many columns as the loops are unrolled for: the compiler makes registers of them.
+// Networks of comparisons, which the compiler does for many columns at once.
 inline __attribute__((always_inline)) void order(uint16_t& a, uint16_t& b) {
   const uint16_t low = a < b ? a : b, high = a < b ? b : a;
   a = low, b = high;
@@ -50,8 +50,8 @@ SEEPAST_CLONES void sort_columns(const uint16_t* const* rows, int width, uint16_
   }
 }
 
-// Of five columns in order, the i-th values of all are put in order, too: then there are at least (i + 1) (j + 1)
-// values up to the j-th of them, and (5 - i) (5 - j) from it on. Twelve cannot be in the middle of 25.
+// Of five columns in order, the i-th values of all are put in order, too: then there are at least (i + 1) (j
+// + 1) values up to the j-th of them, and (5 - i) (5 - j) from it on. Twelve cannot be in the middle of 25.
 SEEPAST_CLONES void median_row(const uint16_t* const* sorted, int width, uint16_t* out) {
   const uint16_t *p = sorted[0], *q = sorted[1], *r = sorted[2], *s = sorted[3], *t = sorted[4];
 #pragma GCC ivdep

@@ -72,13 +72,11 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 struct Grades {
   uint8_t confident, lone, doubtful;  // in 20ths
 };
-void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* is_static, size_t count,
-                   const Grades& grades, uint8_t* out);
-
-// What witnesses and confidence_of make of one of the views: sure where any other agrees.
+// What witnesses make of one of the views: sure where any other agrees. Where `active` (of
+// Chunks; null: nowhere) is 0 both are.
 void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, int tolerance, const Grades& grades, uint8_t* confidence,
-            uint8_t* sure);
+            const uint8_t* is_static, const uint64_t* active, int tolerance, const Grades& grades,
+            uint8_t* confidence, uint8_t* sure);
 
 struct VoteWeights {
   int base, gain, hide, volume;

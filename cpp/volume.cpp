@@ -28,6 +28,7 @@ struct Block {
   const uint8_t* valid;  // its valid planes and static flags
   size_t stride;         // from plane to plane
   bool clear;            // every neighbour of every sample is static
+  bool blind;            // no sample is
 };
 
 // Where a camera is read for a block of columns: what its rows of planes begin with there.

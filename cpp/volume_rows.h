@@ -114,6 +114,20 @@ SEEPAST_INLINE Lanes colour_of(const Block& b, int i, int x) {
 SEEPAST_INLINE Lanes known_of(const Block& b, int i, int x) { return load(b.valid + i * b.stride + x); }
 SEEPAST_INLINE Lanes static_of(const Block& b, int x) { return load(b.valid + kBytes * b.stride + x); }
 
+// Whether any byte of a block is not 0.
+SEEPAST_INLINE bool any_of(const uint8_t* block) {
+  Lanes sum = load(block);
+  for (int x = kLanes; x < kBlock; x += kLanes) sum |= load(block + x);
+#if defined(SEEPAST_BYTES_AVX512)
+  return _mm512_test_epi8_mask((__m512i)sum, (__m512i)sum);
+#else
+  uint64_t words[kLanes / 8], all = 0;
+  std::memcpy(words, &sum, sizeof(sum));
+  for (const uint64_t word : words) all |= word;
+  return all;
+#endif
+}
+
 SEEPAST_INLINE Lanes apart(Lanes a, Lanes b) { return greater(a, b) - lesser(a, b); }
 
 // The same sum in both halves of every two bytes.
@@ -124,12 +138,27 @@ SEEPAST_INLINE Lanes in_halves(Function of) {
   return reinterpret_cast<Lanes>(low | (high << 8));
 }
 
+// (a b + 4) / 8 of bytes whose products have 15 bits, b below 128.
+SEEPAST_INLINE Lanes eighths(Lanes a, Lanes b) {
+#if defined(SEEPAST_BYTES_AVX512)
+  const __m512i even = _mm512_set1_epi16(255);
+  const Wide low = (Wide)_mm512_maddubs_epi16(_mm512_and_si512((__m512i)a, even), (__m512i)b);
+  const Wide high = (Wide)_mm512_maddubs_epi16(_mm512_andnot_si512(even, (__m512i)a), (__m512i)b);
+  return reinterpret_cast<Lanes>((low + 4) >> 3 | (((high + 4) << 5) & 0xff00));
+#elif defined(SEEPAST_BYTES_AVX2)
+  const __m256i even = _mm256_set1_epi16(255);
+  const Wide low = (Wide)_mm256_maddubs_epi16(_mm256_and_si256((__m256i)a, even), (__m256i)b);
+  const Wide high = (Wide)_mm256_maddubs_epi16(_mm256_andnot_si256(even, (__m256i)a), (__m256i)b);
+  return reinterpret_cast<Lanes>((low + 4) >> 3 | (((high + 4) << 5) & 0xff00));
+#else
+  return in_halves([&](auto half) { return (half(a) * half(b) + 4) >> 3; });
+#endif
+}
+
 // One row of the volume.
 struct RowMatcher {
   RowMatcher(const Volume& volume, const Rows& rows)
-      : v(volume), rows(rows), scales(volume.params.census_scale), drops(volume.columns.shifts.size()) {
-    std::memset(nothing, kNoPair, sizeof(nothing));
-  }
+      : v(volume), rows(rows), scales(volume.params.census_scale), drops(volume.columns.shifts.size()) {}
 
   // The row that `rows` and `drops` are about.
   __attribute__((noinline)) void match_row(int y) {
@@ -138,10 +167,11 @@ struct RowMatcher {
 
   Block block_of(const FeatureRow& row, const Place& place) const {
     const size_t stride = v.columns.stride;
-    if (!row.planes || place.at < 0) return {nullptr, nullptr, stride, false};
+    if (!row.planes || place.at < 0) return {nullptr, nullptr, stride, false, true};
     const uint64_t* unclear = row.unclear + place.word;
     const bool clear = !(unclear[0] >> place.skip | unclear[1] << 1 << (63 - place.skip));
-    return {row.planes + place.at, row.planes + place.valid, stride, clear};
+    const uint8_t* valid = row.planes + place.valid;
+    return {row.planes + place.at, valid, stride, clear, !clear && !any_of(valid + kBytes * stride)};
   }
 
   // The chunks that some pixel of a block wants, from the farthest on.
@@ -177,7 +207,7 @@ struct RowMatcher {
     for (int i = 0; i < 2 * kBytes; ++i) std::memcpy(own_planes[i], block.at + i * block.stride, kBlock);
     for (int i = 0; i <= kBytes; ++i)
       std::memcpy(own_planes[2 * kBytes + i], block.valid + i * block.stride, kBlock);
-    own = {own_planes[0], own_planes[2 * kBytes], kBlock, block.clear};
+    own = {own_planes[0], own_planes[2 * kBytes], kBlock, block.clear, block.blind};
     seen = 0;
     for (int x = 0; x < kBlock; ++x) seen |= static_cast<uint64_t>(own_planes[3 * kBytes][x] & 1) << x;
   }
@@ -187,21 +217,24 @@ struct RowMatcher {
     const Columns& columns = v.columns;
     const int cameras = v.array().cameras;
     const int32_t* starts = columns.starts[b].data() + kChunk * chunk;
+    const bool one_run = starts[kChunk] - starts[0] == kChunk;  // per candidate
     const Run* run = columns.runs[b].data() + starts[0];
     const Place* place = columns.places[b].data() + static_cast<size_t>(starts[0]) * cameras;
     for (int r = starts[0]; r < starts[kChunk]; ++r, ++run, place += cameras) {
       const uint64_t theirs = wanted & run->columns();
       if (!theirs) continue;
       const size_t first = static_cast<size_t>(run->candidate) * cameras;
-      for (int k = 0; k < cameras; ++k)
-        blocks[k] = k == v.view.number ? own : block_of(rows.at(k, drops[first + k]), place[k]);
+      for (int k = 0; k < cameras; ++k) {
+        const Block block = k == v.view.number ? own : block_of(rows.at(k, drops[first + k]), place[k]);
+        moved[k] = r == starts[0] || !one_run || block.at != blocks[k].at;
+        blocks[k] = block;
+      }
       uint8_t* to = tile[run->candidate % kChunk];
-      const bool whole = run->to - run->from == kBlock || starts[kChunk] - starts[0] == kChunk;
       for (int x = 0; x < kBlock; x += kLanes) {
         const uint64_t here = theirs >> x << (64 - kLanes) >> (64 - kLanes);
         if (!here) continue;
         const Lanes cost = cost_of(x, here);
-        if (whole)
+        if (one_run)
           store(to + x, cost);
         else
           store_run(to, x, cost, *run);
@@ -222,10 +255,10 @@ struct RowMatcher {
     const uint64_t mine = seen >> x & wanted;
     bool sure = true;  // some pair has a cost in every column
     Lanes cost = all(kNoPair);
-    if (mine) cost = mean_of_pairs(v.view.with_own, x, sure);
+    if (mine) cost = mean_of_pairs(v.view.with_own, with_own, x, sure);
     if (mine != wanted) {
       bool sure_of_theirs = true;
-      const Lanes without = mean_of_pairs(v.view.others, x, sure_of_theirs);
+      const Lanes without = mean_of_pairs(v.view.others, others, x, sure_of_theirs);
       cost = choose(holds(static_of(own, x)), cost, without);
       sure = sure && sure_of_theirs;
     }
@@ -237,21 +270,25 @@ struct RowMatcher {
     return choose(reinterpret_cast<Lanes>(cost == kNoPair), without, cost);
   }
 
-  SEEPAST_INLINE Lanes mean_of_pairs(const Pairs& pairs, int x, bool& sure) {
+  // Near cameras move by less than a quarter pixel from candidate to candidate: what was found of such pairs
+  // stays.
+  SEEPAST_INLINE Lanes mean_of_pairs(const Pairs& pairs, uint8_t (*found)[kBlock], int x, bool& sure) {
     sure = false;
+    const bool stays = pairs.count <= kSorted;
     const int32_t* pair = pairs.cameras;
     for (int p = 0; p < pairs.count; ++p, pair += 2) {
       const Block &a = blocks[pair[0]], &b = blocks[pair[1]];
       const bool clear = a.clear && b.clear;
-      if (clear)
-        store(found[p], pair_of_clear(a, b, x));
-      else if (a.at && b.at)
-        store(found[p], pair_cost(a, b, x));
-      else
-        store(found[p], all(kNoPair));
       sure = sure || clear;
+      if (stays && !moved[pair[0]] && !moved[pair[1]]) continue;
+      if (clear)
+        store(found[p] + x, pair_of_clear(a, b, x));
+      else if (a.blind || b.blind)
+        store(found[p] + x, all(kNoPair));
+      else
+        store(found[p] + x, pair_cost(a, b, x));
     }
-    return smaller_half(pairs.count);
+    return smaller_half(found, x, pairs.count);
   }
 
   // reference_multiview.pair_cost where every neighbour of both rays is static ...
@@ -271,7 +308,7 @@ struct RowMatcher {
     const Lanes differing = bits_of((census_of(a, 0, x) ^ census_of(b, 0, x)) & k0,
                                     (census_of(a, 1, x) ^ census_of(b, 1, x)) & k1,
                                     (census_of(a, 2, x) ^ census_of(b, 2, x)) & k2);
-    const Lanes scaled = in_halves([&](auto half) { return (half(differing) * half(scale) + 4) >> 3; });
+    const Lanes scaled = eighths(differing, scale);
     const Lanes census = choose(holds(scale), scaled, all(v.params.few));
     const Lanes both = holds(static_of(a, x) & static_of(b, x));
     return (census + colour_cost(a, b, x)) | ~both;
@@ -285,15 +322,12 @@ struct RowMatcher {
   }
 
   // Mean of the smaller half of the costs `found`, kNoPair where none exists.
-  SEEPAST_INLINE Lanes smaller_half(int count) {
-    if (count <= 1) return count ? load(found[0]) : all(kNoPair);
-    if (count <= 4) return smaller_half_of_4(count);
-    if (count <= 6) return smaller_half_of_6(count);
-    return smaller_half_of_many(count);
-  }
-
-  SEEPAST_INLINE Lanes found_or_nothing(int p, int count) const {
-    return load(p < count ? found[p] : nothing);
+  SEEPAST_INLINE Lanes smaller_half(uint8_t (*found)[kBlock], int x, int count) {
+    if (count <= 1) return count ? load(found[0] + x) : all(kNoPair);
+    const auto at = [&](int p) { return p < count ? load(found[p] + x) : all(kNoPair); };
+    if (count <= 4) return smaller_half_of_4(at);
+    if (count <= kSorted) return smaller_half_of_6(at);
+    return smaller_half_of_many(found, x, count);
   }
 
   static SEEPAST_INLINE void order(Lanes& a, Lanes& b) {
@@ -302,17 +336,17 @@ struct RowMatcher {
   }
 
   // Two costs or one.
-  SEEPAST_INLINE Lanes smaller_half_of_4(int count) const {
-    Lanes a = load(found[0]), b = load(found[1]), c = found_or_nothing(2, count),
-          d = found_or_nothing(3, count);
+  template <class At>
+  SEEPAST_INLINE Lanes smaller_half_of_4(At at) const {
+    Lanes a = at(0), b = at(1), c = at(2), d = at(3);
     order(a, b), order(c, d), order(a, c), order(b, d), order(b, c);
     return choose(reinterpret_cast<Lanes>(c == kNoPair), a, mean(a, b));
   }
 
   // Three costs, two or one.
-  SEEPAST_INLINE Lanes smaller_half_of_6(int count) const {
-    Lanes a = load(found[0]), b = load(found[1]), c = load(found[2]), d = load(found[3]), e = load(found[4]),
-          f = found_or_nothing(5, count);
+  template <class At>
+  SEEPAST_INLINE Lanes smaller_half_of_6(At at) const {
+    Lanes a = at(0), b = at(1), c = at(2), d = at(3), e = at(4), f = at(5);
     order(a, f), order(b, d), order(c, e);  // the shortest network that sorts six
     order(b, c), order(d, e);
     order(a, d), order(c, f);
@@ -324,34 +358,34 @@ struct RowMatcher {
   }
 
   // Any number. Reorders what was found.
-  Lanes smaller_half_of_many(int count) {
+  Lanes smaller_half_of_many(uint8_t (*found)[kBlock], int x, int count) {
     Lanes exist{};
-    for (int p = 0; p < count; ++p) exist -= reinterpret_cast<Lanes>(load(found[p]) != kNoPair);
+    for (int p = 0; p < count; ++p) exist -= reinterpret_cast<Lanes>(load(found[p] + x) != kNoPair);
     uint8_t half[kLanes], out[kLanes];
     uint16_t sum[kLanes], reciprocal[kLanes];
     store(half, exist);
-    for (int x = 0; x < kLanes; ++x) half[x] = static_cast<uint8_t>((half[x] + 1) >> 1);
-    for (int x = 0; x < kLanes; ++x) sum[x] = half[x] >> 1, reciprocal[x] = 0;
+    for (int i = 0; i < kLanes; ++i) half[i] = static_cast<uint8_t>((half[i] + 1) >> 1);
+    for (int i = 0; i < kLanes; ++i) sum[i] = half[i] >> 1, reciprocal[i] = 0;
     for (int q = 0; q < (count + 1) / 2; ++q) {
-      Lanes least = load(found[count - 1]);
+      Lanes least = load(found[count - 1] + x);
       for (int p = count - 1; p > q; --p) {  // the smallest of the rest rises to q
-        Lanes next = load(found[p - 1]);
+        Lanes next = load(found[p - 1] + x);
         order(least, next);
-        store(found[p], next);
+        store(found[p] + x, next);
       }
-      store(found[q], least);
+      store(found[q] + x, least);
       const uint16_t share =
           static_cast<uint16_t>(65535 / (q + 1) + 1);  // ceil(65536 / half); 0 stands for 1
-      for (int x = 0; x < kLanes; ++x) {
-        const bool counts = half[x] > q;
-        sum[x] = static_cast<uint16_t>(sum[x] + (counts ? found[q][x] : 0));
-        reciprocal[x] = counts ? share : reciprocal[x];
+      for (int i = 0; i < kLanes; ++i) {
+        const bool counts = half[i] > q;
+        sum[i] = static_cast<uint16_t>(sum[i] + (counts ? found[q][x + i] : 0));
+        reciprocal[i] = counts ? share : reciprocal[i];
       }
     }
-    for (int x = 0; x < kLanes; ++x) {
-      const uint16_t mean = static_cast<uint16_t>(static_cast<uint32_t>(sum[x]) * reciprocal[x] >> 16);
-      const uint16_t cost = half[x] == 1 ? sum[x] : mean;
-      out[x] = half[x] ? static_cast<uint8_t>(cost) : kNoPair;
+    for (int i = 0; i < kLanes; ++i) {
+      const uint16_t mean = static_cast<uint16_t>(static_cast<uint32_t>(sum[i]) * reciprocal[i] >> 16);
+      const uint16_t cost = half[i] == 1 ? sum[i] : mean;
+      out[i] = half[i] ? static_cast<uint8_t>(cost) : kNoPair;
     }
     return load(out);
   }
@@ -378,9 +412,10 @@ struct RowMatcher {
   uint64_t seen;               // bit per column that is static there
   Block blocks[kMaxCameras];
   alignas(64) uint8_t own_planes[3 * kBytes + 1][kBlock];
-  alignas(64) uint8_t found[kMaxPairs][kLanes];  // costs of every pair
+  static constexpr int kSorted = 6;  // as many pairs are sorted in registers
+  bool moved[kMaxCameras];           // since the candidate before
+  alignas(64) uint8_t with_own[kMaxPairs][kBlock], others[kMaxPairs][kBlock];  // costs of every pair
   alignas(64) uint8_t tile[kChunk][kBlock];
-  alignas(64) uint8_t nothing[kLanes];
 };
 
 #undef SEEPAST_INLINE

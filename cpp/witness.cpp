@@ -234,8 +234,8 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 
 // Most pixels agree with the nearest camera, and need no other.
 void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, int tolerance, const Grades& grades, uint8_t* confidence,
-            uint8_t* sure) {
+            const uint8_t* is_static, const uint64_t* active, int tolerance, const Grades& grades,
+            uint8_t* confidence, uint8_t* sure) {
   std::vector<int> others;
   for (int k = 0; k < array.cameras; ++k)
     if (k != view) others.push_back(k);
@@ -244,17 +244,23 @@ void graded(const Array& array, int view, const uint16_t* d, const uint16_t* dis
 #pragma omp parallel
   {
     Landing all(array.width), rest(array.width);
-    std::vector<uint8_t> same(all.room), beyond(all.room), agree(all.room), farther(all.room);
-#pragma omp for schedule(static)
+    std::vector<uint8_t> skipped(all.room), same(all.room), beyond(all.room), agree(all.room),
+        farther(all.room);
+#pragma omp for schedule(dynamic, 8)
     for (int y = 0; y < array.height; ++y) {
       const size_t row = static_cast<size_t>(y) * array.width;
-      all.start(d + row, array.width);
+      int left = array.width;
+      for (int x = 0; active && x < array.width; ++x) left -= skipped[x] = !active[row + x];
+      if (!left) {
+        std::fill_n(confidence + row, array.width, uint8_t{0});
+        std::fill_n(sure + row, array.width, uint8_t{0});
+        continue;
+      }
       std::fill(same.begin(), same.end(), 0);
       std::fill(beyond.begin(), beyond.end(), 0);
-      look(array, others[0], y, disparities, is_static, all);
-      count_witnesses(all.seen.data(), all.expected.data(), all.count, tolerance, same.data(), beyond.data());
-      int left = rest.leave(all, array.width, same.data());
-      for (size_t j = 1; left && j < others.size(); ++j) {
+      all.start(d + row, array.width);
+      left = rest.leave(all, array.width, skipped.data());
+      for (size_t j = 0; left && j < others.size(); ++j) {
         look(array, others[j], y, disparities, is_static, rest);
         std::fill_n(agree.begin(), rest.count, 0);
         std::fill_n(farther.begin(), rest.count, 0);
@@ -269,13 +275,10 @@ void graded(const Array& array, int view, const uint16_t* d, const uint16_t* dis
       grade(same.data(), beyond.data(), is_static + view * array.pixels() + row, array.width,
             grades.confident, grades.lone, grades.doubtful, confidence + row);
       for (int x = 0; x < array.width; ++x) sure[row + x] = same[x] != 0;
+      for (int x = 0; active && x < array.width; ++x)
+        confidence[row + x] = skipped[x] ? 0 : confidence[row + x];
     }
   }
-}
-
-void confidence_of(const uint8_t* agree, const uint8_t* farther, const uint8_t* is_static, size_t count,
-                   const Grades& grades, uint8_t* out) {
-  grade(agree, farther, is_static, count, grades.confident, grades.lone, grades.doubtful, out);
 }
 
 }  // namespace seepast

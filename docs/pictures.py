@@ -125,11 +125,11 @@ def views(sample: Sample) -> dict[str, np.ndarray]:
 def votes(sample: Sample) -> dict[str, np.ndarray]:
     """The many-view method's last steps: how sure views are, the disparity voted for, how many rays show it."""
     options = seepast.Options.preset("accurate")
-    many = Kept(backends.multiview(backends.get("cpu")), "confidence_of")
+    many = Kept(backends.multiview(backends.get("cpu")), "graded_of_views")
     geometry = rectify(sample.rig, 0).geometry
     found, _ = multiview.see_past(sample.rectified(), geometry, options, many, False, pipeline.Clock())
     size = geometry.size
-    sure = cv2.resize(many.results["confidence_of"][0][0], size, interpolation=cv2.INTER_NEAREST)
+    sure = cv2.resize(many.results["graded_of_views"][1][0][0], size, interpolation=cv2.INTER_NEAREST)
     return {
         "votes": contact_sheet(
             {

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import re
+import select
 import shlex
 import shutil
 import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -163,6 +167,79 @@ def test_bash_completes(typed: str, completed: set[str], tmp_path: Path, capsys:
     assert completed <= set(done.stdout.split()), (done.stdout, done.stderr)
     if not typed.endswith(" "):
         assert set(done.stdout.split()) == completed
+
+
+def typed_in_zsh(script: Path, way: str, typed: str, awaited: set[str]) -> str:
+    """What an interactive zsh shows after `typed` and two tabs, read until all `awaited` words are there."""
+    leader, follower = os.openpty()
+    environment = {"TERM": "dumb", "HOME": str(script.parent), "PATH": os.environ["PATH"], "COLUMNS": "200"}
+    ends = {"stdin": follower, "stdout": follower, "stderr": follower}
+    zsh = subprocess.Popen(["zsh", "-f", "-i"], env=environment, start_new_session=True, **ends)
+    os.close(follower)
+    load = {
+        "file": f"fpath=({script.parent} $fpath); autoload -U compinit; compinit -D -u",
+        "eval": f'autoload -U compinit; compinit -D -u; eval "$(cat {script})"',
+    }[way]
+    try:
+        _read_until(leader, f"stty cols 200; {load}; echo do''ne\n", {"done\r"})
+        return _read_until(leader, f"{typed}\t\t", awaited)
+    finally:
+        zsh.kill()
+        zsh.wait()
+        os.close(leader)
+
+
+def _read_until(terminal: int, written: str, awaited: set[str]) -> str:
+    os.write(terminal, written.encode())
+    shown, end = "", time.monotonic() + 60
+    while time.monotonic() < end and not all(word in shown for word in awaited):
+        if select.select([terminal], [], [], 0.2)[0]:
+            shown += os.read(terminal, 65536).decode(errors="replace")
+    return shown
+
+
+COMPLETED = [
+    ("seepast re", {"refocus"}),
+    ("seepast run --se", {"--segmenter", "--settings", "--set"}),
+    ("seepast run rec --backend ", {"auto", "cpu", "reference"}),
+    ("seepast models g", {"get"}),
+]
+
+
+@pytest.mark.skipif(not shutil.which("zsh"), reason="there is no zsh")
+@pytest.mark.parametrize("way", ["file", "eval"])
+@pytest.mark.parametrize(("typed", "completed"), COMPLETED)
+def test_zsh_completes(
+    way: str, typed: str, completed: set[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = tmp_path / "_seepast"
+    script.write_text(shown(capsys, "completion", "zsh"))
+    seen = typed_in_zsh(script, way, typed, completed)
+    assert all(word in seen for word in completed), seen
+
+
+@pytest.mark.skipif(not shutil.which("fish"), reason="there is no fish")
+@pytest.mark.parametrize(("typed", "completed"), COMPLETED)
+def test_fish_completes(typed: str, completed: set[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    script = tmp_path / "seepast.fish"
+    script.write_text(shown(capsys, "completion", "fish"))
+    drive = f"source {shlex.quote(str(script))}; complete -C {shlex.quote(typed)}"
+    environment = {**os.environ, "HOME": str(tmp_path)}
+    done = subprocess.run(["fish", "-N", "-c", drive], capture_output=True, text=True, env=environment, cwd=tmp_path)
+    assert {line.split("\t")[0] for line in done.stdout.splitlines()} >= completed, done.stderr
+
+
+@pytest.mark.parametrize(
+    "words", ["--version", "--help", "run --help", "completion fish", "--version --json", "models"]
+)
+def test_a_reader_that_goes_away_ends_a_command_quietly(words: str) -> None:
+    """As in `seepast --help | head -1`; the reader is gone before anything is written."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "seepast.cli", *words.split()]
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (cli.EXIT_PIPE, "")
 
 
 def test_help_joins_the_lines_of_paragraphs_and_nothing_else() -> None:

@@ -120,10 +120,18 @@ def things(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (here / name).write_text(text)
     shutil.copy(recording / "rig.yaml", here / "rig.yaml")  # not the beginning of one that a page shows
     assert cli.main(["run", str(recording), "--out", str(here / "out"), "--preset", "paper"]) == 0
+    _add_deep(here / "raw")
     _add_bags(here)
     _add_network(here / "net.onnx")
     _add_truth(here)
     return here
+
+
+def _add_deep(path: Path) -> None:
+    """The recording as a camera of 12 bits would save it."""
+    shutil.copytree(path.parent / "recording", path)
+    for file in path.glob("cam*/*.png"):
+        cv2.imwrite(str(file), cv2.imread(str(file), cv2.IMREAD_UNCHANGED).astype(np.uint16) * 16)
 
 
 def _add_bags(here: Path) -> None:

@@ -174,11 +174,6 @@ def test_file_that_is_no_png(recording: Path) -> None:
     refused(recording, "cam0/000000.png", "not a PNG")
 
 
-def test_16_bit_image(recording: Path) -> None:
-    save(recording / "cam0" / "000000.png", np.zeros((HEIGHT, WIDTH), np.uint16))
-    refused(recording, "cam0/000000.png", "16 bits", "8 bits")
-
-
 def test_alpha_image(recording: Path) -> None:
     save(recording / "cam0" / "000000.png", np.zeros((HEIGHT, WIDTH, 4), np.uint8))
     refused(recording, "cam0/000000.png", "alpha channel")

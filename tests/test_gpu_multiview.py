@@ -38,13 +38,6 @@ def test_witnesses_and_labels(name, skip):
 
 
 @every_scene
-def test_confidence(name):
-    c = case(name)
-    agree, farther = reference.witnesses(c.disparities[0], c.disparities, c.static, c.views[0], 1, UNITS)
-    assert_same(*(b.confidence_of(agree, farther, c.static[0], 14, 3) for b in (reference, cuda)))
-
-
-@every_scene
 @pytest.mark.parametrize("grid", VOTED, ids=str)
 @pytest.mark.parametrize("kind", KINDS)
 def test_votes(name, grid, kind):
@@ -87,14 +80,14 @@ def test_the_scenes_are_those_of_the_cpu_backend():
 
 
 @every_scene
-def test_witnesses_of_all_views_at_once(name):
+def test_all_views_are_graded_at_once(name):
     c = case(name)
-    agree, farther = cuda.witnesses_of_views(c.disparities, c.static, c.views, UNITS)
-    for k, view in enumerate(c.views):
-        expected = reference.witnesses(c.disparities[k], c.disparities, c.static, view, k, UNITS)
-        assert_same(expected, (agree[k], farther[k]))
-    expected = [reference.confidence_of(agree[k], farther[k], c.static[k], 14, 3) for k in range(len(c.views))]
-    assert_same(np.stack(expected), cuda.confidence_of(agree, farther, c.static, 14, 3))
+    given = c.disparities, c.static, c.views, UNITS, 14, 3
+    grid = DisparityGrid(0, 8, 2 * CHUNK)
+    some = [some_candidates(grid, c.static.shape[1:], "holes") if k % 3 else None for k in range(len(c.views))]
+    for candidates in (None, some):
+        expected = reference.graded_of_views(*given, candidates)
+        assert_same(expected, cuda.graded_of_views(*given, candidates))
 
 
 @every_scene
@@ -116,10 +109,9 @@ def test_planes(name):
 def test_planes_of_all_views_at_once(name):
     c = case(name)
     found = c.disparities // 8 + 300
-    agree = np.random.default_rng(3).integers(0, 3, found.shape, np.uint8)
-    sure = agree > 0
+    sure = np.random.default_rng(3).random(found.shape) < 0.7
     expected = [reference.planes(found[k], sure[k] & c.static[k], ~sure[k], c.colour[k], c.static[k]) for k in (0, 1)]
-    assert_same(np.stack(expected), picture.planes_of_views(found, agree, c.colour, c.static)[:2])
+    assert_same(np.stack(expected), picture.planes_of_views(found, sure, c.colour, c.static)[:2])
 
 
 @every_scene

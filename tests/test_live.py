@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import logging
+import os
 import sys
 import threading
 import time
@@ -212,6 +214,40 @@ def test_stale_instants_are_dropped_and_counted_never_queued() -> None:
     assert sum(r.frames_dropped.get(STALE, 0) for r in reports) <= report.frames_dropped[STALE]
 
 
+def resident() -> float:
+    """MB of this process."""
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="needs Linux's /proc")
+def test_memory_does_not_grow_with_the_instants() -> None:
+    """Each instant brings half a MB, so that one kept of every ten of them would show."""
+    size = (240, 180)
+    memory, told = Memory(), list[float]()
+    server = Server(
+        Rig.linear(3, focal=240.0, spacing=0.1, size=size), PAPER, memory, Inputs(IMAGES), namespace="seepast"
+    )
+    stop = threading.Event()
+
+    def feed() -> None:
+        for tick in range(460):
+            for topic in IMAGES:
+                memory.deliver[topic](image(START + 50 * tick * MS, size=size))
+            end = time.monotonic() + 5
+            while len(memory.sent) < 5 + len(IMAGES) and time.monotonic() < end:
+                time.sleep(0.001)
+            memory.sent.clear()
+            if tick in (60, 459):
+                told.append(resident())
+        stop.set()
+
+    memory.on_start = threading.Thread(target=feed).start
+    report = server.run(stop, seconds=120)
+    assert report.published >= 400 and len(told) == 2
+    assert told[1] - told[0] < 12, f"{told[0]:.0f} MB after 60 instants, {told[1]:.0f} MB after 460"
+
+
 def test_what_cannot_be_used_is_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
     memory = Memory()
     server = Server(RIG, PAPER, memory, Inputs(IMAGES), room=9)
@@ -219,7 +255,7 @@ def test_what_cannot_be_used_is_counted_and_told_once(caplog: pytest.LogCaptureF
     memory.deliver[IMAGES[0]](image(START + 10**9))
     memory.deliver[IMAGES[1]](image(START + 10**9))
     bad = image(START + 10**9)
-    bad.encoding = "bayer_rggb16"
+    bad.encoding = "bayer_rggb32"
     memory.deliver[IMAGES[2]](bad)
     with caplog.at_level(logging.WARNING):
         report = run_once(server)

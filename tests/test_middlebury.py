@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from recordings import save
+from seepast import cli
 from seepast.datasets import find_datasets, open_dataset
 from seepast.datasets.middlebury import FOCAL, SPACING, MiddleburyDataset
 from seepast.errors import DatasetError
+from seepast.evaluate import evaluate
 from seepast.rectify import rectify
 from seepast.rig import Rig
 
@@ -100,3 +104,48 @@ def test_what_cannot_be_used_is_named(tmp_path: Path) -> None:
     (calibrated / "calib.txt").write_text("cam0=[1 0 0]")
     with pytest.raises(DatasetError, match="no recording here"):
         open_dataset(calibrated)
+
+
+def wall(path: Path, step: int, names: tuple[str, ...] = tuple(f"view{n}" for n in range(7))) -> Path:
+    """Views of a flat wall that moves by `step` px from one to the next, and its truth."""
+    width, height = 120, 370
+    texture = cv2.resize(np.random.default_rng(3).integers(0, 255, (height // 2, 150, 3), np.uint8), (300, height))
+    for n, name in enumerate(names):
+        save(path / f"{name}.png", texture[:, n * step : n * step + width])
+    for n in (1, 5):
+        coded(path / f"disp{n}.png", 3 * 4 * step, (width, height))
+    return path
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_evaluate_takes_the_truth_that_is_there(
+    masked: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("skimage")
+    path, out = wall(tmp_path / "Wall", 2), tmp_path / "out"
+    box = np.zeros((370, 120), np.uint8)
+    box[150:220, 40:60] = 255
+    for k in range(7 if masked else 0):
+        save(path / "masks" / f"cam{k}" / "000000.png", box)
+    quick = ["--preset", "paper", "--set", "range.max_disparity=20"]
+    assert cli.main(["run", str(path), "--out", str(out), "--reference", "cam1", *quick]) == 0
+    capsys.readouterr()
+    assert cli.main(["evaluate", str(path), str(out), "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["Wall"]
+    assert row["bad1 vis"] < 5 and row["psnr"] is None
+    assert (row["bad1 hid"] is not None) == masked
+    disparity = out / "disparity" / "000000.pfm"
+    image = cv2.imread(str(disparity), cv2.IMREAD_UNCHANGED)
+    image[:185] += 1.5
+    cv2.imwrite(str(disparity), image)
+    assert 45 < evaluate(path, out)["Wall"]["bad1 vis"] < 60, "half of it is wrong now"
+    assert list(evaluate(tmp_path / "Wall", out)) == ["Wall", "MEAN"]
+
+
+def test_evaluate_names_the_views_with_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("skimage")
+    path, out = wall(tmp_path / "Wall", 1), tmp_path / "out"
+    quick = ["--preset", "paper", "--set", "range.max_disparity=8"]
+    assert cli.main(["run", str(path), "--out", str(out), *quick]) == 0
+    assert cli.main(["evaluate", str(path), str(out)]) == 2
+    assert "is of cam1 and cam5; run again with --reference cam1" in capsys.readouterr().err

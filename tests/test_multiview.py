@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -174,6 +175,54 @@ def test_aggregate(name, kind, paths):
         )
 
 
+def scattered(shape: tuple[int, int], chunks: int, kind: str) -> np.ndarray:
+    """Active chunks of pixels most of which are not matched at all: uint64 [H, W]."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[: shape[0], : shape[1]]
+    kept = {
+        "none": x < 0,
+        "one pixel": (x == shape[1] // 2) & (y == shape[0] // 3),
+        "isolated": rng.random(shape) < 0.05,
+        "one column": x == shape[1] - 1,
+        "one row": y == shape[0] - 1,
+        "top": y < 2,
+        "bottom corner": (y > shape[0] - 4) & (x > shape[1] - 4),
+        "empty rows": (y // 3 % 2 == 0) & (x % 40 > 4),
+        "rows unlike": rng.random(shape) < 0.7,
+    }[kind]
+    first = (y // 4 % 2 + x // 9 % 3).astype(np.uint64) % np.uint64(chunks)
+    wide = np.where(rng.random(shape) < 0.1, np.uint64(5), np.uint64(1)) << first
+    return np.where(kept, wide & np.uint64((1 << chunks) - 1), np.uint64(0))
+
+
+@pytest.mark.parametrize("kind", ["none", "one pixel", "isolated", "one column", "one row", "top", "bottom corner",
+                                  "empty rows", "rows unlike"])  # fmt: skip
+@pytest.mark.parametrize("paths", [8, 4])
+@pytest.mark.parametrize("shape", [(37, 83), (2, 3), (1, 40), (40, 1)], ids=str)
+def test_aggregate_where_little_is_matched(shape, paths, kind):
+    rng = np.random.default_rng(5)
+    grid = DisparityGrid(3, 5, 64)
+    every = Candidates.all(grid, shape)
+    some = Candidates.of(grid, scattered(shape, 4, kind))
+    image, static = rng.integers(0, 256, (*shape, 3), np.uint8), rng.random(shape) < 0.8
+    otherwise = rng.integers(0, 4000, shape).astype(np.uint16)
+    for candidates in (some, every.where(some.active > 0)):
+        costs = rng.integers(0, 256, (candidates.chunks, CHUNK), np.uint8)
+        for penalties, fallback in ((FIRST, otherwise), (STEEPEST, None)):
+            assert_same(
+                *(b.aggregate(costs, image, static, candidates, penalties, paths, fallback) for b in (reference, cpu))
+            )
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 70), (31, 33), (64, 4)], ids=str)
+def test_median(shape):
+    rng = np.random.default_rng(shape[1])
+    for high in (3, 65536):
+        image, out = rng.integers(0, high, shape).astype(np.uint16), np.empty(shape, np.uint16)
+        _core.median(image, out)
+        assert_same(cv2.medianBlur(image, 5), out)
+
+
 def test_long_paths_keep_their_numbers_small():
     """Where all is dear, costs gather along the path: over 700 pixels they would leave 16 bits."""
     rng = np.random.default_rng(1)
@@ -218,17 +267,13 @@ def test_votes(name, grid, kind):
 
 
 @every_scene
-def test_confidence(name):
+@pytest.mark.parametrize("kind", [None, "holes", "random"])
+def test_graded(name, kind):
     c = case(name)
-    agree, farther = reference.witnesses(c.disparities[0], c.disparities, c.static, c.views[0], 1, UNITS)
-    assert_same(*(b.confidence_of(agree, farther, c.static[0], 14, 3) for b in (reference, cpu)))
-
-
-@every_scene
-def test_graded(name):
-    c = case(name)
+    grid = DisparityGrid(0, 8, 3 * CHUNK)
+    candidates = None if kind is None else some_candidates(grid, c.static.shape[1:], kind)
     for k in c.some_views:
-        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3
+        given = c.disparities[k], c.disparities, c.static, c.views[k], UNITS, 14, 3, candidates
         for found, expected in zip(cpu.graded(*given), reference.graded(*given), strict=True):
             assert_same(found, expected)
 

@@ -48,7 +48,7 @@ def test_a_reader_in_the_registry_goes_before_ours(tmp_path: Path, monkeypatch: 
 
 def test_an_option_that_a_reader_does_not_take_is_an_error(tmp_path: Path) -> None:
     path = write_recording(tmp_path / "walk")
-    with pytest.raises(OptionsError, match="--topics: the reader 'folder' does not take it, but --masks"):
+    with pytest.raises(OptionsError, match="--topics: the reader 'folder' does not take it, but --bits, --masks"):
         open_dataset(path, topics="/a,/b,/c")
     with pytest.raises(OptionsError, match="--tolerance"):
         open_dataset(path, tolerance=0.1)

@@ -154,11 +154,11 @@ def test_bayer_patterns_name_the_top_left_pixels(pattern: str, tmp_path: Path) -
     np.testing.assert_array_equal(image[4:-4, 4:-4].reshape(-1, 3), np.tile([200, 120, 40], (28 * 40, 1)))
 
 
-@pytest.mark.parametrize("encoding", ["mono16", "32FC1"])
-def test_more_than_8_bits_are_refused(encoding: str, tmp_path: Path) -> None:
-    deep = np.zeros((SIZE[1], SIZE[0]), np.uint16 if encoding == "mono16" else np.float32)
+@pytest.mark.parametrize("encoding", ["16SC1", "32FC1"])
+def test_what_are_no_grey_levels_is_refused(encoding: str, tmp_path: Path) -> None:
+    deep = np.zeros((SIZE[1], SIZE[0]), np.int16 if encoding == "16SC1" else np.float32)
     bag = make(tmp_path / "r", "mcap", {topic(k): [Shot(START, deep, encoding)] for k in range(3)})
-    with pytest.raises(DatasetError, match=rf"/cam0/image_raw at {START}: encoding {encoding} has more than 8 bits"):
+    with pytest.raises(DatasetError, match=rf"/cam0/image_raw at {START}: encoding {encoding} has no grey levels"):
         open_dataset(bag, masks="none").frame(str(START))
 
 
@@ -185,7 +185,8 @@ def test_a_missing_topic_names_those_that_are_there(tmp_path: Path) -> None:
         open_dataset(bag, masks="none", topics="/a,/b,/notes")
     only_text = make(tmp_path / "s", "rosbag1", {"/notes": [Shot(START, np.zeros(0), "text")]})
     with pytest.raises(
-        DatasetError, match=r"no sensor_msgs/Image or CompressedImage, but /notes \(std_msgs/msg/String\)"
+        DatasetError,
+        match=r"no sensor_msgs/Image, CompressedImage or video, but /notes \(std_msgs/msg/String\)",
     ):
         open_dataset(only_text, masks="none")
 

@@ -230,3 +230,82 @@ def test_the_readme_does_as_it_says(recording: Path, tmp_path: Path, monkeypatch
         words = command.split()
         assert cli.main(words + ["--preset", "paper"] * (words[0] == "run")) == 0, command
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+
+COUNTING = """
+import pathlib
+import numpy as np
+
+def make():
+    def segment(images):
+        with pathlib.Path("calls").open("a") as file:
+            file.write("x")
+        return [np.where(image.mean(axis=2) > 128, 255, 0).astype(np.uint8) for image in images]
+    return segment
+"""
+FAST = ["--preset", "paper", "--set", "range.max_disparity=12"]
+
+
+@pytest.fixture
+def counted(recording: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(recording.parent)
+    (recording.parent / "counting.py").write_text(COUNTING)
+    return recording.parent / "calls"
+
+
+def bright(recording: Path, camera: str, stamp: str) -> np.ndarray:
+    image = cv2.imread(str(recording / camera / f"{stamp}.png"))
+    return np.where(image.mean(axis=2) > 128, 255, 0).astype(np.uint8)
+
+
+@pytest.mark.parametrize("words", [[], ["--segmenter", "counting.py:make"]])
+def test_the_viewer_shows_the_masks_that_the_segmenter_made(words: list[str], recording: Path, counted: Path) -> None:
+    pytest.importorskip("rerun")
+    from test_viewing import decoded, read_back
+
+    run = ["run", "rec", "--out", "out", "--segmenter", "counting.py:make", *FAST, "--save", "run.rrd"]
+    assert cli.main(run) == 0
+    assert counted.read_text() == "xx", "once per frame, though the viewer reads beside"
+    assert cli.main(["view", "out", "--save", "later.rrd", *words]) == 0
+    for file in ("run.rrd", "later.rrd"):
+        rows = read_back(Path(file))
+        for i, stamp in enumerate(("a", "b")):
+            before = decoded(rows["/masks_before/cam1"][i])[..., 3]
+            np.testing.assert_array_equal(before, bright(recording, "cam1", stamp))
+    assert cli.main(["view", "out", "--save", "none.rrd", "--masks", "none"]) == 0
+    assert "/masks_before/cam1" not in read_back(Path("none.rrd"))
+
+
+def test_a_segmenter_that_is_gone_is_no_obstacle_to_the_viewer(
+    recording: Path, counted: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("rerun")
+    from test_viewing import read_back
+
+    assert cli.main(["run", "rec", "--out", "out", "--segmenter", "counting.py:make", *FAST]) == 0
+    Path("counting.py").unlink()
+    assert cli.main(["view", "out", "--save", "out.rrd"]) == 0
+    assert "the masks before are left out" in capsys.readouterr().err
+    rows = read_back(Path("out.rrd"))
+    assert "/masks_before/cam1" not in rows and "/input/cam1" in rows
+    asked = ["view", "out", "--save", "b.rrd", "--segmenter", "counting.py:make"]
+    assert cli.main(asked) == 2, "asked for, and missing"
+
+
+def test_refocus_and_epi_take_a_segmenter(recording: Path, counted: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        for k in range(3):
+            path = recording / "masks_same" / f"cam{k}" / f"{name}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), bright(recording, f"cam{k}", name))
+    how = {"seg": ["--segmenter", "counting.py:make"], "files": ["--masks", "masks_same"], "plain": []}
+    for out, words in how.items():
+        assert cli.main(["refocus", "rec", "--out", out, "--disparity", "4", *words]) == 0
+    same, files, plain = (Path(out, "a.png").read_bytes() for out in how)
+    assert same == files != plain
+    capsys.readouterr()
+    epi = ["epi", "rec", "--row", "20", "--out", "e.png", "--segmenter", "counting.py:make", "--json"]
+    assert cli.main(epi) == 0
+    assert 0.1 < json.loads(capsys.readouterr().out)["struck_out"] < 0.9
+    assert cli.main(["refocus", "rec", "--out", "c", "--depth", "3", "--classes", "car"]) == 2
+    assert "--classes" in capsys.readouterr().err

@@ -24,6 +24,8 @@ pytest.importorskip("rosbags.typesys")
 import ros_wire as wire
 from recordings import write_recording
 from seepast import cli
+from seepast.live import dds_types, messages
+from seepast.live.dds import DdsTransport
 from seepast.options import Options
 from seepast.pipeline import Reconstructor
 from seepast.result import Result
@@ -94,6 +96,83 @@ def truth(recording: Path, masked: bool) -> Result:
     masks = [cv2.imread(str(recording / f"masks/{c.name}/000000.png"), 0) for c in rig.cameras] if masked else None
     options = Options.preset("paper").updated({"range.max_disparity": 12})
     return Reconstructor(rig, options=options)(images, masks)
+
+
+KINDS = {"boolean": 1, "int32": 4, "uint32": 7, "float64": 10, "uint8": 13}  # TypeKind, XTypes 1.3, 7.3.4
+
+
+def announced(carrier: Any) -> dict[str, Any]:
+    """Type name -> complete struct type, of all that DDS announces for an IDL type."""
+    from cyclonedds.idl._xt_builder import XTBuilder
+
+    pairs = XTBuilder.process_type(carrier)[1].identifier_object_pair_complete
+    structs = [pair.type_object.value.value for pair in pairs]
+    return {struct.header.detail.type_name: struct for struct in structs}
+
+
+def described(identifier: Any) -> Any:
+    """A member's type in the words of a .msg file."""
+    if identifier.discriminator == 112:
+        return "string", identifier.value.bound
+    if identifier.discriminator == 128:
+        return "sequence", identifier.value.element_identifier.discriminator, identifier.value.bound
+    if identifier.discriminator == 144:
+        return "array", identifier.value.element_identifier.discriminator, tuple(identifier.value.array_bound_seq)
+    return "struct" if identifier.discriminator == 242 else identifier.discriminator
+
+
+def expected(field: Any) -> Any:
+    kind, detail = field
+    if kind.name == "BASE":
+        return ("string", 0) if detail[0] == "string" else KINDS[{"bool": "boolean"}.get(detail[0], detail[0])]
+    if kind.name == "NAME":
+        return "struct"
+    (_, (element, _)), length = detail
+    sort = "array" if kind.name == "ARRAY" else "sequence"
+    return sort, KINDS[element], (length,) if sort == "array" else length
+
+
+@pytest.mark.parametrize("carrier", dds_types.TYPES.values())
+def test_types_are_announced_as_ros_announces_them(carrier: Any) -> None:
+    """As rmw_cyclonedds does it: name mangled, final, ids in order, fields of the .msg with their plain names."""
+    found = announced(carrier)
+    name = carrier.__idl_typename__.replace("/", "::")
+    assert name in found and len(found) >= 3
+    for mangled, struct in found.items():
+        package, message = re.fullmatch(r"(\w+)::msg::dds_::(\w+)_", mangled).groups()  # type: ignore[union-attr]
+        fields = wire.STORE.fielddefs[f"{package}/msg/{message}"][1]
+        flags = struct.struct_flags
+        assert flags.IS_FINAL and not (flags.IS_APPENDABLE or flags.IS_MUTABLE or flags.IS_AUTOID_HASH)
+        members = struct.member_seq
+        assert [member.common.member_id for member in members] == list(range(len(fields)))
+        assert [member.detail.name for member in members] == [field[0] for field in fields]
+        for member, (_, field) in zip(members, fields, strict=True):
+            assert described(member.common.member_type_id) == expected(field), (mangled, member.detail.name)
+            assert not (member.common.member_flags.IS_OPTIONAL or member.common.member_flags.IS_KEY)
+
+
+def test_topics_and_quality_of_service_match_those_of_ros() -> None:
+    """By DDS's rules of request and offer they get on with rmw's profiles: default, sensor data, rviz's."""
+    from cyclonedds.core import Policy
+    from cyclonedds.qos import Qos
+
+    transport = DdsTransport(wire.DOMAIN)
+    try:
+        transport.subscribe("/cam0/image_raw", messages.Image, lambda message: None)
+        transport.advertise("/seepast/depth/image_rect", messages.Image)
+        (reader, _), writer_qos = transport._readers[0], transport._out
+        assert reader.topic.name == "rt/cam0/image_raw"
+        assert reader.topic.typename == "sensor_msgs::msg::dds_::Image_"
+        assert reader.get_qos()[Policy.Reliability] == Policy.Reliability.BestEffort, "gets on with every publisher"
+        for qos in (reader.get_qos(), writer_qos):
+            assert qos[Policy.Durability] == Policy.Durability.Volatile
+            assert qos[Policy.DataRepresentation] == Policy.DataRepresentation(use_cdrv0_representation=True)
+        assert isinstance(writer_qos[Policy.Reliability], Policy.Reliability.Reliable), (
+            "serves both kinds of subscriber"
+        )
+        assert Policy.Deadline not in Qos(*writer_qos) and Policy.Partition not in Qos(*writer_qos)
+    finally:
+        transport.close()
 
 
 def test_cameras_of_another_process_are_seen_through(

@@ -18,10 +18,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from arrays import SPACING, Scene, make_scene
+from arrays import SPACING, make_scene
 from replay import record
 from seepast import Options, Rig, _core, reconstruct
-from seepast.backends import cpu_multiview
 from seepast.threads import cores
 
 ROOT = Path(__file__).parents[1]
@@ -58,15 +57,6 @@ def see_past(preset: str) -> None:
         if cameras == 3:
             rig = crooked(rig)
         reconstruct(list(scene.views), scene.masks, rig, options=options, dynamic_only=cameras == 3)
-        if preset == "fast":
-            grade(scene)
-
-
-def grade(scene: Scene) -> None:
-    """What no preset calls."""
-    static = scene.dynamic <= 127
-    disparities = np.random.default_rng(2).integers(0, 400, static.shape).astype(np.uint16) // 32 * 32
-    cpu_multiview.graded(disparities[0], disparities, static, scene.geometry, 32, 14, 3)
 
 
 @pytest.fixture(scope="module")

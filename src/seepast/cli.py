@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ from .commands.view import view
 from .commands.watching import Viewing
 from .errors import SeepastError
 
-EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+EXIT_INTERRUPTED, EXIT_PIPE, EXIT_TERMINATED = 130, 141, 143
 
 USAGE = """Usage: seepast COMMAND, for example
 
@@ -60,7 +61,8 @@ HELP = "\n\n".join(
         "videos cam0.mp4 ..., a Middlebury folder.",
         "Results go to stdout, one line of JSON each with --json; all else goes to stderr.",
         "Exit codes: 0 done; 2 something is wrong with the input or output, told in one line on stderr; "
-        "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there.",
+        "130 interrupted and 143 terminated: what is finished stays, and the same `run` goes on from there; "
+        "141 nobody reads stdout any more, as in `seepast --help | head -1`.",
     )
 )
 
@@ -107,7 +109,7 @@ def evaluate(
     Parameters
     ----------
     dataset
-        Folder with truth/, or a folder of such folders.
+        Folder with truth/, a Middlebury folder with disp1.png or the like, or a folder of such folders.
     out
         What `run` wrote for it.
     """
@@ -249,6 +251,15 @@ def _on_sigterm(*_: object) -> None:
     raise _Terminated
 
 
+def _leave_stdout() -> int:
+    """Nobody reads it any more: what is still to be flushed goes nowhere, so that Python ends in peace."""
+    with contextlib.suppress(OSError, ValueError):  # a stdout without a file, as in tests
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+    return EXIT_PIPE
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command (default: sys.argv) and return its exit code; see HELP."""
     log = logging.getLogger("seepast")
@@ -259,7 +270,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         tokens = sys.argv[1:] if arguments is None else list(arguments)
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+        sys.stdout.flush()
         return code if isinstance(code, int) else 0
+    except (BrokenPipeError, SystemExit):  # the second is what rich makes of the first; nothing else here raises it
+        return _leave_stdout()
     except (SeepastError, CycloptsError) as error:
         _say_error(error)
         return EXIT_ERROR

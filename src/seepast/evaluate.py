@@ -10,6 +10,9 @@ flag         % of the hidden pixels that NO camera sees and that are flagged so 
 lost         % of the hidden pixels that some camera sees but that are flagged as unseen (coverage 0)
 iou in, out  dynamic-mask intersection over union before and after, mean over cameras, at P >= 0.5
 
+Of a Middlebury folder (datasets/middlebury.py) only the disparity of some views is true: "bad1 vis", and "bad1 hid"
+where it has masks.
+
 A figure without any pixel to count is NaN and left out of the mean.
 """
 
@@ -23,6 +26,8 @@ import cv2
 import numpy as np
 import yaml
 
+from .datasets import NO_MASKS, OpenOptions
+from .datasets.middlebury import MiddleburyDataset, is_middlebury_dataset
 from .errors import DatasetError, MissingExtraError
 
 COLUMNS = (
@@ -56,8 +61,8 @@ class Truth:
 def evaluate(dataset: str | Path, out: str | Path, masks: str | None = "masks") -> dict[str, Row]:
     """One row of COLUMNS per stamp of `dataset`, and their MEAN (NaN left out).
 
-    dataset   a recording with truth/, or a folder of such recordings (rows are then named after them, and
-              `out` holds one output folder of the same name for each)
+    dataset   a recording with truth/, or a Middlebury folder with disp1 or the like, or a folder of such recordings
+              (rows are then named after them, and `out` holds one output folder of the same name for each)
     out       what `seepast run` wrote for it
     masks     the folder of input masks inside the dataset, for "iou in" (NaN with None)
 
@@ -68,6 +73,9 @@ def evaluate(dataset: str | Path, out: str | Path, masks: str | None = "masks") 
     ssim_map = _ssim_map()
     rows: dict[str, Row] = {}
     for name, recording, output in _recordings(dataset, out):
+        if not (recording / "truth").is_dir():
+            rows[name or recording.resolve().name] = _score_middlebury(recording, output, masks)
+            continue
         stamps = sorted(path.stem for path in (recording / "truth" / "background").glob("*.png"))
         if not stamps:
             raise DatasetError(f"{recording}/truth/background: holds no PNG; there is nothing to compare with")
@@ -109,12 +117,40 @@ def read_truth(dataset: Path, stamp: str, reference: str = "cam0") -> Truth:
 
 def _recordings(dataset: Path, out: Path) -> list[tuple[str, Path, Path]]:
     """(row name, recording, its output): one without a name, or one for each subfolder with truth/."""
-    if (dataset / "truth").is_dir():
+    if _has_truth(dataset):
         return [("", dataset, out)]
-    inner = sorted(p for p in dataset.iterdir() if (p / "truth").is_dir()) if dataset.is_dir() else []
+    inner = sorted(filter(_has_truth, dataset.iterdir())) if dataset.is_dir() else []
     if not inner:
-        raise DatasetError(f"{dataset}: has no truth/ folder; only recordings with truth can be evaluated")
+        raise DatasetError(
+            f"{dataset}: has no truth/ folder, and no Middlebury views are there; only recordings with truth can be "
+            "evaluated"
+        )
     return [(path.name, path, out / path.name) for path in inner]
+
+
+def _has_truth(path: Path) -> bool:
+    return (path / "truth").is_dir() or is_middlebury_dataset(path)
+
+
+def _score_middlebury(path: Path, out: Path, masks: str | None) -> Row:
+    """What can be said where only the disparity of the reference view is true."""
+    folder = masks if masks is not None and (path / masks).is_dir() else NO_MASKS
+    dataset = MiddleburyDataset(path, OpenOptions(masks=folder))
+    reference = _camera_name(out) or "cam0"
+    if dataset.truth and reference not in dataset.truth:
+        raise DatasetError(
+            f"{out}: was reconstructed in the view of {reference}, but the true disparity of {path} is of "
+            f"{' and '.join(dataset.truth)}; run again with --reference {dataset.truth[0]}"
+        )
+    truth = dataset.true_disparity(reference)
+    disparity = _read(out / "disparity" / f"{dataset.stamps[0]}.pfm", like=truth)
+    bad = ~(np.abs(disparity.astype(float) - truth) <= 1)
+    given = dataset.frame(dataset.stamps[0]).masks
+    mask = np.zeros(truth.shape, np.uint8) if given is None else given[dataset.rig.index(reference)]
+    row = dict.fromkeys(COLUMNS, float("nan"))
+    row["bad1 hid"] = 100 * _average(bad[(mask > 127) & (truth > 0)])
+    row["bad1 vis"] = 100 * _average(bad[(mask == 0) & (truth > 0)])
+    return row
 
 
 def _same_reference(dataset: Path, out: Path) -> str:

@@ -129,7 +129,9 @@ def at_level(
         # where views are matched around people only, the coarser level told the others all that this one knows
         voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
         better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
-    seen = confirmed(better, level, o, backend, clock)
+    # views have a say where they were matched; the wanted one has none, who asks only where it sees nothing
+    asked = None if everywhere or o.planes else [None if k == r else own for k, own in enumerate(candidates)]
+    seen = confirmed(better, level, asked, o, backend, clock)
     for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
         with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
             polled = candidates if hides is None else asked_on(hides, before, level, candidates, backend)
@@ -137,7 +139,7 @@ def at_level(
         with clock("aggregate"):
             of_matched = timed(energies, clock, "votes")
             better = smoothed(seen.disparity, level, matched, of_matched, polled, first, o, backend)
-        seen = confirmed(better, level, o, backend, clock)
+        seen = confirmed(better, level, asked, o, backend, clock)
     if r in matched:
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=everywhere)
@@ -283,15 +285,23 @@ def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:
     )
 
 
-def confirmed(found: np.ndarray, level: Level, o: MultiviewOptions, backend: ModuleType, clock: Clock) -> Views:
-    """Every view's disparities, uint16 [K, h, w], with unconfirmed ones put on planes; and their confidence."""
+def confirmed(
+    found: np.ndarray,
+    level: Level,
+    candidates: list[Candidates | None] | None,
+    o: MultiviewOptions,
+    backend: ModuleType,
+    clock: Clock,
+) -> Views:
+    """Every view's disparities, uint16 [K, h, w], with unconfirmed ones put on planes; and their confidence, 0 where a
+    view has no candidates (candidates None: as if it had some everywhere)."""
     with clock("confidence"):  # 1 where another view agrees, little where one sees farther
-        agree, farther = backend.witnesses_of_views(found, level.static, level.views, agreement(o))
         doubtful, lone = round(20 * o.doubtful_confidence), round(20 * o.lone_confidence)
-        confidence = backend.confidence_of(agree, farther, level.static, lone, doubtful)
+        given = found, level.static, level.views, agreement(o), lone, doubtful, candidates
+        confidence, sure = backend.graded_of_views(*given)
     if o.planes:
         with clock("planes"):  # least squares through the confirmed pixels around
-            found = backend.planes_of_views(found, agree, level.colour, level.static)
+            found = backend.planes_of_views(found, sure, level.colour, level.static)
     return Views(level, found, confidence)
 
 

@@ -32,12 +32,14 @@ FLAGS = {
     "rig": _WORD,
     "topics": _WORDS,
     "tolerance": _NUMBER,
+    "bits": _WHOLE,
     "preset": _WORD,
     "reference": _WORD,
     "backend": _WORD,
     "dynamic_only": _TRUTH,
     "threads": _WHOLE,
 }
+OPENED = ("classes", "reader", "topics", "tolerance", "bits")  # how a recording was opened, in words and numbers
 _TYPES: dict[str, tuple[type, ...]] = {
     _WORD: (str,),
     _WORDS: (str, list),
@@ -67,7 +69,7 @@ class FileSettings:
 class Plan:
     """All that determines a run: one recording or a folder of them, how it is opened, and the method.
 
-    The first seven are those of `open_dataset` and `open_segmenter`, classes separated by commas. run_file and
+    The first eight are those of `open_dataset` and `open_segmenter`, classes separated by commas. run_file and
     earlier: name and content of the run.json that is repeated.
     """
 
@@ -79,6 +81,7 @@ class Plan:
     rig: Path | None
     topics: str | None
     tolerance: float | None
+    bits: int | None
     options: Options
     reference: str = "cam0"
     backend: str = "auto"
@@ -89,7 +92,7 @@ class Plan:
 
     def said(self) -> dict[str, Any]:
         """What this says about opening the recording, as it is true in every working directory, for run.json."""
-        said: dict[str, Any] = {name: getattr(self, name) for name in ("classes", "reader", "topics", "tolerance")}
+        said: dict[str, Any] = {name: getattr(self, name) for name in OPENED}
         said["rig"] = None if self.rig is None else str(self.rig.resolve())
         said["segmenter"] = None if self.segmenter is None else _anywhere(self.segmenter)
         return {name: value for name, value in said.items() if value is not None}
@@ -111,7 +114,7 @@ def planned(flags: Mapping[str, Any], options: Mapping[str, Any], file: FileSett
     chosen = Options.preset(merged.pop("preset", DEFAULT_PRESET)).updated({**file.options, **options})
     if "dataset" not in merged:
         raise OptionsError("DATASET: say which recording to run, or name it in the file of --settings as dataset: PATH")
-    plan: dict[str, Any] = {name: None for name in ("masks", "segmenter", "classes", "reader", "topics", "tolerance")}
+    plan: dict[str, Any] = {name: None for name in ("masks", "segmenter", *OPENED)}
     plan |= merged
     plan["dataset"], plan["rig"] = Path(merged["dataset"]), Path(merged["rig"]) if "rig" in merged else None
     return Plan(**plan, options=chosen, run_file=file.path if file.run else None, earlier=file.run)

@@ -44,8 +44,8 @@ def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, back
     features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
     volumes = backend.volumes(features, level.views, candidates, costs)
     found = backend.aggregates(volumes, level.colour, level.static, candidates, penalties)
-    agree, _ = backend.witnesses_of_views(found, level.static, level.views, round(UNITS * o.tolerance))
-    return Surfaces(scale, found, agree > 0)
+    _, agree = backend.graded_of_views(found, level.static, level.views, round(UNITS * o.tolerance), 0, 0)
+    return Surfaces(scale, found, agree)
 
 
 def coarseness(geometry: ArrayGeometry, options: Options) -> int:

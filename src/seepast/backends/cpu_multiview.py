@@ -35,13 +35,13 @@ __all__ = [
     "beside",
     "blend",
     "clear_of_masks",
-    "confidence_of",
     "describe",
     "enlarged",
     "everything",
     "evidence",
     "fill_unseen",
     "graded",
+    "graded_of_views",
     "inner_span",
     "labels",
     "landings",
@@ -57,13 +57,14 @@ __all__ = [
     "windows",
     "windows_of_views",
     "witnesses",
-    "witnesses_of_views",
 ]
 
 _views = OneByOne(sys.modules[__name__])
-aggregates, votes_of_views, witnesses_of_views = _views.aggregates, _views.votes_of_views, _views.witnesses_of_views
+aggregates, votes_of_views = _views.aggregates, _views.votes_of_views
 planes_of_views = _views.planes_of_views
+graded_of_views = _views.graded_of_views
 everything = Candidates.all
+EVERYWHERE = np.empty((0, 0), np.uint64)  # stands for the active chunks of no pixel in particular
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,13 +201,6 @@ def labels(
     return shown, passing
 
 
-def confidence_of(agree: np.ndarray, farther: np.ndarray, static: np.ndarray, lone: int, doubtful: int) -> np.ndarray:
-    out, rows = np.empty(agree.shape, np.uint8), (-1, agree.shape[-1])
-    agree, farther, static = (v.reshape(rows) for v in (agree, _bytes(farther), _bytes(static)))
-    _core.confidence_of(agree, farther, static, CONFIDENT, lone, doubtful, out.reshape(rows))
-    return out
-
-
 def evidence(
     d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
 ) -> np.ndarray:
@@ -224,11 +218,13 @@ def graded(
     tolerance: int,
     lone: int,
     doubtful: int,
+    candidates: Candidates | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
+    active = EVERYWHERE if candidates is None else candidates.active
     confidence, sure = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
     _core.graded(
-        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), tolerance,
-        CONFIDENT, lone, doubtful, confidence, sure,
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), active,
+        tolerance, CONFIDENT, lone, doubtful, confidence, sure,
     )  # fmt: skip
     return confidence, sure.view(bool)
 

@@ -15,7 +15,7 @@ from .cuda_matching import (
     windows_of_views,
 )
 from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count
-from .cuda_votes import confidence_of, labels, votes, votes_of_views, witnesses, witnesses_of_views
+from .cuda_votes import graded_of_views, labels, votes, votes_of_views, witnesses
 
 __all__ = [
     "aggregate",
@@ -24,12 +24,12 @@ __all__ = [
     "beside",
     "blend",
     "clear_of_masks",
-    "confidence_of",
     "describe",
     "enlarged",
     "everything",
     "evidence",
     "fill_unseen",
+    "graded_of_views",
     "inner_span",
     "labels",
     "landings",
@@ -45,5 +45,4 @@ __all__ = [
     "windows",
     "windows_of_views",
     "witnesses",
-    "witnesses_of_views",
 ]

@@ -22,9 +22,9 @@ def planes(disparity, trusted, wanted, image, static):
     return _planes("planes", disparity[None], trusted, wanted, image, static)[0]
 
 
-def planes_of_views(found, agree, colour, static):
+def planes_of_views(found, sure, colour, static):
     """`planes` of every view [K, H, W], trusted where static and another view agrees, wanted where none does."""
-    return _planes("planes_of_views", found, agree, colour, static)
+    return _planes("planes_of_views", found, sure, colour, static)
 
 
 def _planes(kernel: str, found, *args):

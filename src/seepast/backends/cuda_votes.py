@@ -13,20 +13,15 @@ from ..candidates import Candidates
 from ..geometry import ArrayGeometry
 from ..gpu import device
 from ..gpu.launches import int32, launch_tiles, view_table
-from ..gpu.tables import addresses, constant, views_table
+from ..gpu.tables import address, addresses, constant, views_table
 from ..many import CONFIDENT, VoteWeights
 
-__all__ = ["confidence_of", "labels", "votes", "votes_of_views", "witnesses", "witnesses_of_views"]
+__all__ = ["graded_of_views", "labels", "votes", "votes_of_views", "witnesses"]
 
 
 def witnesses(disparity, disparities, static, geometry: ArrayGeometry, skip: int, tolerance: int):
     agree, farther = _witnesses(disparity[None], disparities, static, [geometry], [skip], tolerance)
     return agree[0], farther[0]
-
-
-def witnesses_of_views(found, static, views: Sequence[ArrayGeometry], tolerance: int):
-    """`witnesses` of every view by the others: uint8 and bool [K, H, W]."""
-    return _witnesses(found, found, static, views, range(len(views)), tolerance)
 
 
 def _witnesses(found, disparities, static, views, skips, tolerance: int):
@@ -50,13 +45,25 @@ def labels(disparity, disparities, static, geometry: ArrayGeometry, tolerance: i
     return shown, passing
 
 
-def confidence_of(agree, farther, static, lone: int, doubtful: int):
-    out = device.current().xp.empty(agree.shape, np.uint8)
-    device.current().launch(
-        "witness", "confidence_of", grid=(-(-agree.size // 256),), block=(256,),
-        args=[agree, farther, static, *int32(agree.size, CONFIDENT, lone, doubtful), out],
+def graded_of_views(
+    found,
+    static,
+    views: Sequence[ArrayGeometry],
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+    candidates: Sequence[Candidates | None] | None = None,
+):
+    """`graded` of every view by the others: uint8 and bool [K, H, W]. candidates: nothing is asked of a view that has
+    None, and everything if there are none at all."""
+    xp, K = device.current().xp, len(views)
+    confidence, sure = xp.empty(found.shape, np.uint8), xp.empty(found.shape, bool)
+    asked = [1] * K if candidates is None else [0 if c is None else address(c.active) for c in candidates]
+    launch_tiles(
+        "witness", "graded", found.shape, *views_table(views), found, static, constant(np.array(asked, np.uint64)),
+        *int32(K, *found.shape[1:], tolerance, CONFIDENT, lone, doubtful), confidence, sure,
     )  # fmt: skip
-    return out
+    return confidence, sure
 
 
 def votes(

@@ -74,21 +74,31 @@ class OneByOne:
             for volume, static, view, of, skip in each
         )
 
-    def witnesses_of_views(
-        self, found: np.ndarray, static: np.ndarray, views: Sequence[ArrayGeometry], tolerance: int
+    def graded_of_views(
+        self,
+        found: np.ndarray,
+        static: np.ndarray,
+        views: Sequence[ArrayGeometry],
+        tolerance: int,
+        lone: int,
+        doubtful: int,
+        candidates: Sequence[Candidates | None] | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """`witnesses` of all views, found uint16 [K, H, W], each but itself: uint8 and bool [K, H, W]."""
-        agree, farther = zip(
-            *(self.stages.witnesses(found[k], found, static, view, k, tolerance) for k, view in enumerate(views)),
-            strict=True,
-        )
-        return np.stack(agree), np.stack(farther)
+        """`graded` of all views, found uint16 [K, H, W]: uint8 and bool [K, H, W]. candidates: nothing is asked of a
+        view that has None, and everything if there are none at all."""
+        confidence, sure = np.zeros(found.shape, np.uint8), np.zeros(found.shape, bool)
+        for k, view in enumerate(views):
+            of = None if candidates is None else candidates[k]
+            if candidates is None or of is not None:
+                given = found[k], found, static, view, tolerance, lone, doubtful, of
+                confidence[k], sure[k] = self.stages.graded(*given)
+        return confidence, sure
 
     def planes_of_views(
-        self, found: np.ndarray, agree: np.ndarray, colour: np.ndarray, static: np.ndarray
+        self, found: np.ndarray, sure: np.ndarray, colour: np.ndarray, static: np.ndarray
     ) -> np.ndarray:
-        """`planes` of all views, where none of the others agrees (agree uint8 [K, H, W]): uint16 [K, H, W]."""
-        of, sure = self.stages.planes, agree > 0
+        """`planes` of all views, where they are not sure (bool [K, H, W], of `graded`): uint16 [K, H, W]."""
+        of = self.stages.planes
         return np.stack([
             of(found[k], sure[k] & static[k], ~sure[k], colour[k], static[k]) for k in range(len(found))
         ])  # fmt: skip

@@ -63,6 +63,8 @@ __all__ = [
     "everything",
     "evidence",
     "fill_unseen",
+    "graded",
+    "graded_of_views",
     "inner_span",
     "labels",
     "landings",
@@ -78,12 +80,11 @@ __all__ = [
     "windows",
     "windows_of_views",
     "witnesses",
-    "witnesses_of_views",
 ]
 
 _views = OneByOne(sys.modules[__name__])
 windows_of_views, volumes, aggregates = _views.windows_of_views, _views.volumes, _views.aggregates
-votes_of_views, witnesses_of_views = _views.votes_of_views, _views.witnesses_of_views
+votes_of_views, graded_of_views = _views.votes_of_views, _views.graded_of_views
 planes_of_views = _views.planes_of_views
 everything = Candidates.all
 
@@ -465,12 +466,20 @@ def graded(
     tolerance: int,
     lone: int,
     doubtful: int,
+    candidates: Candidates | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `witnesses` and `confidence_of` say of the view's disparities: c in 20ths, uint8 [H, W]; and whether
-    another view agrees, bool [H, W]. At once, since then a pixel that one view confirms needs no other."""
+    another view agrees, bool [H, W]. At once, since then a pixel that one view confirms needs no other.
+
+    With candidates only of the pixels that have some: 0 and False elsewhere.
+    """
     k = geometry.reference
     agree, farther = witnesses(disparity, disparities, static, geometry, k, tolerance)
-    return confidence_of(agree, farther, static[k], lone, doubtful), agree > 0
+    confidence, sure = confidence_of(agree, farther, static[k], lone, doubtful), agree > 0
+    if candidates is not None:
+        asked = candidates.active != 0
+        confidence, sure = np.where(asked, confidence, np.uint8(0)), sure & asked
+    return confidence, sure
 
 
 # ------------------------------------------------------------------------------------------------- planes

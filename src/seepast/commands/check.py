@@ -9,7 +9,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from .console import Json, progress
-from .segmenting import Classes, SegmenterName, opened_segmenter
+from .segmenting import Classes, SegmenterName, opened_recording, opened_segmenter
 from .source import GUESSED, Source
 
 
@@ -54,13 +54,8 @@ def check(
         Also write the report, with pictures, to this one file.
     """
     from ..check import check as check_dataset
-    from ..datasets import NO_MASKS
-    from ..segment import SegmentedDataset
 
-    network = opened_segmenter(segmenter, classes, masks)
-    recording = source.open(dataset, NO_MASKS if network else masks)
-    if network:
-        recording = SegmentedDataset(recording, network)
+    recording = opened_recording(source, dataset, masks, opened_segmenter(segmenter, classes, masks))
     with progress(recording.name, len(recording.stamps)) as advance:
         report = check_dataset(recording, reference, depths=depths, background=background, on_frame=advance)
     if json_:

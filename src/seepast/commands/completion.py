@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal
 
 
@@ -17,7 +18,8 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     where ~/.zsh/completions is in the fpath of ~/.zshrc: fpath=(~/.zsh/completions $fpath); autoload -U compinit;
     compinit. For the shell at hand only
 
-      eval "$(seepast completion bash)"
+      eval "$(seepast completion bash)"      or zsh
+      seepast completion fish | source
 
     Parameters
     ----------
@@ -26,5 +28,22 @@ def completion(shell: Literal["bash", "zsh", "fish"], /) -> int:
     """
     from ..cli import app
 
-    print(app.generate_completion(shell=shell))
+    script = app.generate_completion(shell=shell)
+    print(_begun(script) if shell == "zsh" else script)
     return 0
+
+
+def _begun(script: str) -> str:
+    """cyclopts' script for zsh only defines its function. As a file of fpath it is the body of a function that has the
+    file's name, and so must call it; after `eval` it must be registered."""
+    function = re.search(r"^(_\w+)\(\) *\{", script, re.MULTILINE)
+    if function is None or not script.rstrip().endswith("}"):  # another version of cyclopts, which does it itself
+        return script
+    return (
+        f"{script.rstrip()}\n\n"
+        "if [[ $funcstack[1] == _* ]]; then\n"
+        f'  {function[1]} "$@"\n'
+        "else\n"
+        f"  compdef {function[1]} seepast\n"
+        "fi"
+    )

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from .console import Json, say
+from .segmenting import Classes, SegmenterName, opened_recording, opened_segmenter
 from .source import GUESSED, Source
 
 Optional = Parameter(negative=(), show_default=False)
@@ -24,6 +25,8 @@ def epi(
     height: Annotated[int | None, Optional] = None,
     frame: Annotated[str | None, Optional] = None,
     masks: Annotated[str | None, Optional] = None,
+    segmenter: SegmenterName = None,
+    classes: Classes = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
     json_: Json = False,
@@ -70,7 +73,7 @@ def epi(
     from ..export.atomic import write_png
     from ..rectify import rectify
 
-    recording = source.open(dataset, masks)
+    recording = opened_recording(source, dataset, masks, opened_segmenter(segmenter, classes, masks))
     stamp = recording.stamps[0] if frame is None else frame
     if stamp not in recording.stamps:
         raise OptionsError(f"--frame {stamp}: {dataset} has {recording.stamps[0]} .. {recording.stamps[-1]}")

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from .console import Json, count, progress, say
+from .segmenting import Classes, SegmenterName, opened_recording, opened_segmenter
 from .source import GUESSED, Source
 
 Optional = Parameter(negative=(), show_default=False)
@@ -28,6 +29,8 @@ def refocus(
     aperture: Literal["mean", "median", "masked-mean"] = "mean",
     masked: Annotated[bool, Optional] = False,
     masks: Annotated[str | None, Optional] = None,
+    segmenter: SegmenterName = None,
+    classes: Classes = None,
     reference: str = "cam0",
     overwrite: Annotated[bool, Optional] = False,
     json_: Json = False,
@@ -40,6 +43,7 @@ def refocus(
       seepast refocus recording --out out --depth 5
       seepast refocus recording --out out --depth 5 --aperture median --cameras cam0,cam2,cam4
       seepast refocus recording --sweep 1 10 60 --video sweep.mp4 --masked
+      seepast refocus recording --out out --depth 5 --segmenter onnx:net.onnx
 
     This is the baseline people know: all cameras' rays, dynamic ones, too, unless --masked.
 
@@ -67,7 +71,7 @@ def refocus(
         What becomes of the rays: their mean, their median (drops what few cameras see), or masked-mean, which is
         mean with --masked.
     masked
-        Use only rays that the masks call static.
+        Use only rays that the masks call static; --masks and --segmenter imply it.
     masks
         Folder of masks in the dataset (default: masks).
     reference
@@ -79,8 +83,9 @@ def refocus(
     from ..focal import Aperture
     from ..refocusing import picture_count, refocus_sequence
 
-    masked = masked or aperture == "masked-mean"
-    recording = source.open(dataset, masks if masked else NO_MASKS)
+    network = opened_segmenter(segmenter, classes, masks)
+    masked = masked or aperture == "masked-mean" or network is not None or masks is not None
+    recording = opened_recording(source, dataset, masks if masked else NO_MASKS, network)
     named = [recording.rig.index(name.strip()) for name in cameras.split(",")] if cameras else None
     chosen = None if named is None else tuple(dict.fromkeys(named))
     pictures = picture_count(recording, sweep, frame, video is not None)

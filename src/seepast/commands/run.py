@@ -11,7 +11,7 @@ from cyclopts import Parameter
 
 from ..errors import DatasetError, InputError, OptionsError, RigError
 from .console import EXIT_ERROR, Json, count, progress, say, say_error
-from .segmenting import Classes, SegmenterName, opened_segmenter
+from .segmenting import Classes, SegmenterName, opened_recording, opened_segmenter
 from .source import GUESSED, Source
 from .watching import UNSEEN, Viewing
 
@@ -113,11 +113,10 @@ def run_all(plan: Plan, out: Path, overwrite: bool, as_json: bool, viewing: View
     same_segmenter  what is repeated was not told to take other masks
     """
     from ..datasets import NO_MASKS
-    from ..segment import SegmentedDataset
     from ..sequence import Settings, process
 
     network = opened_segmenter(plan.segmenter, plan.classes, plan.masks, plan.threads)
-    source = Source(plan.reader, plan.rig, plan.topics, plan.tolerance)
+    source = Source(plan.reader, plan.rig, plan.topics, plan.tolerance, plan.bits)
     masks = NO_MASKS if network else plan.masks
     paths = source.find(plan.dataset)
     failed = 0
@@ -125,17 +124,16 @@ def run_all(plan: Plan, out: Path, overwrite: bool, as_json: bool, viewing: View
         for path in paths:
             target = out if paths == [plan.dataset] else out / (path.stem if path.is_file() else path.name)
             try:
-                recording = source.open(path, masks)
+                recording = opened_recording(source, path, masks, network)
                 said = _said(plan, recording, path)
-                if network:
-                    recording = SegmentedDataset(recording, network)
                 settings = Settings(
                     plan.options, plan.reference, plan.backend, plan.dynamic_only, plan.threads, overwrite, said
                 )
                 _warn_of_changes(plan, recording, settings, same_segmenter)
+                again = partial(_again, source, path, masks, recording)
                 with (
                     progress(recording.name, len(recording.stamps)) as advance,
-                    watched.run(recording.name, target, partial(source.open, path, masks), advance) as on_frame,
+                    watched.run(recording.name, target, again, advance) as on_frame,
                 ):
                     summary = process(recording, target, settings, on_frame=on_frame)
             except (DatasetError, RigError, InputError) as error:  # the other recordings may still be good
@@ -147,6 +145,14 @@ def run_all(plan: Plan, out: Path, overwrite: bool, as_json: bool, viewing: View
             say(summary_line(summary), summary.as_dict(), as_json)
         watched.wait()
     return EXIT_ERROR if failed else 0
+
+
+def _again(source: Source, path: Path, masks: str | None, recording: Dataset) -> Dataset:
+    """What is run, opened once more for who looks on."""
+    from ..segment import SegmentedDataset
+
+    inner = source.open(path, masks)
+    return recording.beside(inner) if isinstance(recording, SegmentedDataset) else inner
 
 
 def _said(plan: Plan, recording: Dataset, path: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
@@ -9,7 +10,9 @@ from cyclopts import Parameter
 from ..errors import OptionsError
 
 if TYPE_CHECKING:
+    from ..datasets import Dataset
     from ..segment import Segmenter
+    from .source import Source
 
 SegmenterName = Annotated[
     str | None,
@@ -44,3 +47,14 @@ def opened_segmenter(spec: str | None, classes: str | None, masks: str | None, t
     if words == []:
         raise OptionsError("--classes: names nothing; write it as --classes person,car")
     return open_segmenter(spec, words, threads=threads)
+
+
+def opened_recording(source: Source, path: Path, masks: str | None, segmenter: Segmenter | None) -> Dataset:
+    """The recording with its masks from files, or from `segmenter` where there is one. Raises SeepastError."""
+    from ..datasets import NO_MASKS
+
+    if segmenter is None:
+        return source.open(path, masks)
+    from ..segment import SegmentedDataset
+
+    return SegmentedDataset(source.open(path, NO_MASKS), segmenter)

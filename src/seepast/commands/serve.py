@@ -34,6 +34,7 @@ def serve(
     segmenter: SegmenterName = None,
     classes: Classes = None,
     tolerance: Annotated[float | None, Optional] = None,
+    bits: Annotated[int | None, Optional] = None,
     settings: Annotated[Path | None, Optional] = None,
     preset: Annotated[str | None, Optional] = None,
     reference: Annotated[str | None, Optional] = None,
@@ -81,6 +82,8 @@ def serve(
         dynamic. Or give --segmenter.
     tolerance
         Seconds that header stamps of one instant may be apart; 0.005 if not given.
+    bits
+        How many of their bits images of 16 (mono16, bgr16) fill; 16 if not given.
     settings
         File of settings as of `seepast run`; flags of the command line win over it.
     preset
@@ -156,7 +159,7 @@ def _inputs(rig: Rig, plan: Plan) -> Inputs:
     if masks is not None and masks != NO_MASKS:
         of_masks = listed(masks.removeprefix(MASK_TOPICS), rig.cameras, f"--masks {MASK_TOPICS}")
     images = topics_of(rig.cameras, plan.topics, plan.rig or Path())
-    return Inputs(images, of_masks, nanoseconds(plan.tolerance))
+    return Inputs(images, of_masks, nanoseconds(plan.tolerance), plan.bits)
 
 
 def _say(report: Report | str) -> None:

@@ -31,12 +31,15 @@ class Source:
         not given, the rostopic of each camera in the rig.
     tolerance
         Seconds that images of one instant may be apart (ROS bags, EuRoC); 0.005 if not given.
+    bits
+        How many of their bits images of 16 fill, 12 for example: they are made 8 by one factor; 16 if not given.
     """
 
     reader: Annotated[str | None, Optional] = None
     rig: Annotated[Path | None, Optional] = None
     topics: Annotated[str | None, Optional] = None
     tolerance: Annotated[float | None, Optional] = None
+    bits: Annotated[int | None, Optional] = None
 
     def find(self, path: Path) -> list[Path]:
         """See `datasets.find_datasets`."""
@@ -49,7 +52,13 @@ class Source:
         from ..datasets import open_dataset
 
         return open_dataset(
-            path, masks=masks, reader=self.reader, rig=self.rig, topics=self.topics, tolerance=self.tolerance
+            path,
+            masks=masks,
+            reader=self.reader,
+            rig=self.rig,
+            topics=self.topics,
+            tolerance=self.tolerance,
+            bits=self.bits,
         )
 
 

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from .console import Json, count, progress, say
+from .segmenting import Classes, SegmenterName, opened_recording, opened_segmenter
 from .source import GUESSED, Source
 
 if TYPE_CHECKING:
     from ..datasets import Dataset
     from ..export.reading import RunFolder
+    from ..segment import Segmenter
 
 log = logging.getLogger("seepast")
 
@@ -26,6 +30,8 @@ def view(
     *,
     dataset: Annotated[Path | None, Optional] = None,
     masks: Annotated[str | None, Optional] = None,
+    segmenter: SegmenterName = None,
+    classes: Classes = None,
     save: Annotated[Path | None, Optional] = None,
     port: int = 9090,
     overwrite: Annotated[bool, Optional] = False,
@@ -52,7 +58,7 @@ def view(
     dataset
         The recording that was run (default: where it lay then).
     masks
-        Folder of its masks (default: those of the run); 'none': leave them out.
+        Folder of its masks (default: those of the run, by its network if it had one); 'none': leave them out.
     save
         Write this .rrd file instead of serving a page.
     port
@@ -65,8 +71,9 @@ def view(
     from ..viewing import RunLogger, recording_stream, saved
 
     run = RunFolder(out)
+    given = _Masks(masks, segmenter, classes)
     stream = recording_stream(run.path.resolve().name)
-    logger = RunLogger(out, stream, _recording(run, dataset, masks, source))
+    logger = RunLogger(out, stream, _recording(run, dataset, given, source))
     if save is not None:
         with saved(stream, save, overwrite), progress(out.name, len(run.stamps)) as advance:
             frames = logger.log_new(advance)
@@ -81,18 +88,54 @@ def view(
     return 0
 
 
-def _recording(run: RunFolder, dataset: Path | None, masks: str | None, source: Source) -> Dataset | None:
-    """What was run, as far as it is still there: without it the inputs are left out, which is told."""
-    from ..datasets import NO_MASKS
+@dataclass(frozen=True)
+class _Masks:
+    """What the command line says about masks."""
+
+    masks: str | None = None
+    segmenter: str | None = None
+    classes: str | None = None
+
+
+def _recording(run: RunFolder, dataset: Path | None, given: _Masks, source: Source) -> Dataset | None:
+    """What was run, as it was opened then, as far as it is still there: without it the inputs are left out, told."""
     from ..errors import SeepastError
 
     path = dataset or Path(str(run.settings.get("dataset", "")))
-    before = str(run.settings.get("masks", NO_MASKS))
-    masks = masks or (before if Path(before).is_dir() else NO_MASKS)
+    said = dict(run.settings.get("settings") or {})
     try:
-        return source.open(path, masks)
+        masks, network = _masks_of(run, path, given, said)
+        return opened_recording(_as_then(source, said), path, masks, network)
     except SeepastError as error:
-        if dataset is not None:
+        if dataset is not None or given.segmenter is not None or given.classes is not None:
             raise
         log.warning("the inputs are left out (%s); name the recording with --dataset", error)
         return None
+
+
+def _masks_of(run: RunFolder, path: Path, given: _Masks, said: Mapping[str, Any]) -> tuple[str, Segmenter | None]:
+    """Folder of masks and segmenter: those that are given, else those of the run as far as they are still there."""
+    from ..datasets import NO_MASKS
+    from ..datasets.topics import MASK_TOPICS
+    from ..errors import SeepastError
+
+    if given != _Masks():
+        return given.masks or NO_MASKS, opened_segmenter(given.segmenter, given.classes, given.masks)
+    try:
+        network = opened_segmenter(said.get("segmenter"), said.get("classes"), None)
+    except SeepastError as error:
+        log.warning("the masks before are left out (%s); name their network with --segmenter", error)
+        network = None
+    folder, name = Path(str(run.settings.get("masks", NO_MASKS))), str(said.get("masks", NO_MASKS))
+    if folder.is_dir():
+        return str(folder), network
+    return (name if name.startswith(MASK_TOPICS) or (path / name).is_dir() else NO_MASKS), network
+
+
+def _as_then(source: Source, said: Mapping[str, Any]) -> Source:
+    """`source` with the run's own words where nothing is said."""
+    found = {name: said.get(name) if value is None else value for name, value in vars(source).items()}
+    found["rig"] = None if found["rig"] is None else Path(found["rig"])
+    if isinstance(found["topics"], list):
+        found["topics"] = ",".join(found["topics"])
+    return Source(**found)

@@ -60,14 +60,18 @@ class Reader:
     takes: frozenset[str] = frozenset(field.name for field in fields(OpenOptions))
 
 
+def _open_folder(path: Path, options: OpenOptions) -> Dataset:
+    return FolderDataset(path, options.masks, options.bits)
+
+
 # The last one is asked first, so readers that users add go before these, and plain folders come last.
 READERS: dict[str, Reader] = {
-    "folder": Reader(is_folder_dataset, lambda path, options: FolderDataset(path, options.masks), frozenset({"masks"})),
+    "folder": Reader(is_folder_dataset, _open_folder, frozenset({"masks", "bits"})),
     "rosbag-split": Reader(lambda path: False, RosbagDataset),  # all bags in a folder as one: must be asked for
     "rosbag": Reader(lambda path: is_bag(path) and not (path / "cam0").is_dir(), RosbagDataset),
     "video": Reader(is_video_dataset, VideoDataset, frozenset({"masks", "rig"})),
-    "middlebury": Reader(is_middlebury_dataset, MiddleburyDataset, frozenset({"masks", "rig"})),
-    "euroc": Reader(is_euroc_dataset, EurocDataset, frozenset({"masks", "rig", "tolerance"})),
+    "middlebury": Reader(is_middlebury_dataset, MiddleburyDataset, frozenset({"masks", "rig", "bits"})),
+    "euroc": Reader(is_euroc_dataset, EurocDataset, frozenset({"masks", "rig", "tolerance", "bits"})),
 }
 
 
@@ -79,6 +83,7 @@ def open_dataset(
     rig: str | Path | None = None,
     topics: str | None = None,
     tolerance: float | None = None,
+    bits: int | None = None,
 ) -> Dataset:
     """Open one recording, or the only one in a folder.
 
@@ -89,7 +94,7 @@ def open_dataset(
     found = find_datasets(path, reader=reader)
     if len(found) > 1:
         raise DatasetError(f"{path}: holds {len(found)} recordings; name one of {', '.join(p.name for p in found)}")
-    options = OpenOptions(masks, None if rig is None else Path(rig), topics, tolerance)
+    options = OpenOptions(masks, None if rig is None else Path(rig), topics, tolerance, bits)
     name = reader or guess_reader(found[0])
     assert name is not None
     chosen = find_reader(name)

@@ -9,7 +9,7 @@ import contextlib
 import logging
 import weakref
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,15 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..extras import require
-from .bag_file import BagFile, Entry
+from .bag_file import VIDEO_TYPES, BagFile, Entry
+from .bag_video import is_key
 from .forward import Forward
 from .recording import RIG_FILE
 
 log = logging.getLogger("seepast")
 
-IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+STILL_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+IMAGE_TYPES = (*STILL_TYPES, *VIDEO_TYPES)
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 METADATA = "metadata.yaml"
 
@@ -35,11 +37,15 @@ class TopicIndex:
     stamps    int64[N] ns of the headers, ascending, none twice
     entries   where each is found again
     repeated  how many images were left out since another one has the same stamp
+    early     how many were left out since video begins with a key frame only
+    recorded  all messages in the order of recording, and whether each is a key frame; of video only
     """
 
     stamps: np.ndarray
     entries: Sequence[Entry]
     repeated: int
+    early: int = 0
+    recorded: Sequence[tuple[Entry, bool]] = ()
 
 
 def is_bag(path: Path) -> bool:
@@ -82,16 +88,19 @@ class Bag:
     def index(self, topics: Sequence[str]) -> dict[str, TopicIndex]:
         """Read through the bag once for the time stamps of all images of `topics`; `fetch` gets these."""
         found: dict[str, list[Entry]] = {topic: [] for topic in topics}
+        keys: dict[str, list[bool]] = {topic: [] for topic in topics if self.topics[topic] in VIDEO_TYPES}
         for file in self._files:
-            for entry, _ in file.messages(topics):
+            for entry, message in file.messages(topics):
                 found[entry.topic].append(entry)
+                if entry.topic in keys:
+                    keys[entry.topic].append(is_key(message))
         if any(own and not any(entry.stamp for entry in own) for own in found.values()):
             log.warning("%s: headers have no time stamps; taking the times at which images were recorded", self.path)
             for file in self._files:
                 file.stamped = False
             found = {topic: [entry._replace(stamp=entry.logged) for entry in own] for topic, own in found.items()}
         self._forward = [self._open.enter_context(contextlib.closing(Forward(f, topics))) for f in self._files]
-        return {topic: _sorted(own) for topic, own in found.items()}
+        return {topic: _video(own, keys[topic]) if topic in keys else _sorted(own) for topic, own in found.items()}
 
     def fetch(self, wanted: Sequence[Entry]) -> list[Any]:
         """The messages of `wanted`, in this order; quick if later than those before. Raises DatasetError."""
@@ -101,6 +110,13 @@ class Bag:
         if len(found) < len(set(wanted)):
             raise DatasetError(f"{self.path}: has changed since it was opened; let the recording end first")
         return [found[entry] for entry in wanted]
+
+
+def _video(entries: Sequence[Entry], keys: Sequence[bool]) -> TopicIndex:
+    """Likewise of video, from its first key frame on, or from its beginning where none is known."""
+    first = keys.index(True) if any(keys) else 0
+    index = _sorted(entries[first:])
+    return replace(index, early=first, recorded=list(zip(entries, keys, strict=True))[first:])
 
 
 def _sorted(entries: Sequence[Entry]) -> TopicIndex:

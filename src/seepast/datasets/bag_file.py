@@ -13,6 +13,16 @@ from typing import Any, NamedTuple
 
 from ..errors import DatasetError, SeepastError
 
+VIDEO_TYPES = {  # not among those that rosbags knows by itself
+    "foxglove_msgs/msg/CompressedVideo": (
+        "builtin_interfaces/Time timestamp\nstring frame_id\nuint8[] data\nstring format\n"
+    ),
+    "ffmpeg_image_transport_msgs/msg/FFMPEGPacket": (
+        "std_msgs/Header header\nint32 width\nint32 height\nstring encoding\nuint64 pts\nuint8 flags\n"
+        "bool is_bigendian\nuint8[] data\n"
+    ),
+}
+
 
 class Entry(NamedTuple):
     """One message: its topic, which file of the bag it is in, when it was recorded and when taken (ns)."""
@@ -77,12 +87,14 @@ def _reader(path: Path, ros1: bool) -> Any:
 
 
 def _deserializer(ros1: bool) -> Any:
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    if ros1:
-        return get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
-    return get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, definition in VIDEO_TYPES.items():
+        store.register(get_types_from_msg(definition, name))
+    return store.deserialize_ros1 if ros1 else store.deserialize_cdr
 
 
 def _stamp(message: Any) -> int:
-    return int(message.header.stamp.sec) * 10**9 + int(message.header.stamp.nanosec)
+    stamp = message.header.stamp if hasattr(message, "header") else message.timestamp  # CompressedVideo has no header
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)

@@ -13,7 +13,7 @@ from ..errors import DatasetError, RigError
 from ..rig import Camera, Rig, inverse_pose, load_yaml
 from .grouping import grouped, log_dropped, nanoseconds
 from .png import read_png8
-from .protocol import Dropped, OpenOptions
+from .protocol import Dropped, OpenOptions, said_bits
 from .recording import RIG_FILE, MaskFolder, Recording, find_rig, mask_path
 
 SENSOR_FILE = "sensor.yaml"
@@ -59,16 +59,16 @@ class EurocDataset(Recording):
         times = np.stack([own[members[:, k]] for k, own in enumerate(stamps)], axis=1)
         self._files = [[there[k][time] for time in times[:, k].tolist()] for k in range(len(names))]
         masks = mask_path(path, options.masks)
-        super().__init__(path, rig, rig_file, [f"{time:019d}" for time in times[:, 0]], masks)
+        super().__init__(path, rig, rig_file, [f"{time:019d}" for time in times[:, 0]], masks, options.bits)
         self.times, self.dropped = times, _absent(names, listed, there) + dropped
-        self.reading = {"reader": "euroc", "tolerance": tolerance / 1e9}
+        self.reading = {"reader": "euroc", "tolerance": tolerance / 1e9, **said_bits(options)}
         if masks is not None:
             choices = [[(s, file.stem) for s, file in zip(self.stamps, own, strict=True)] for own in self._files]
             self._folder = MaskFolder(masks, names, choices)
         log_dropped(path, self.dropped, sum(map(len, listed)))
 
     def _images(self, index: int) -> Sequence[np.ndarray]:
-        return [read_png8(files[index]) for files in self._files]
+        return [read_png8(files[index], self._deep) for files in self._files]
 
     def _masks(self, index: int) -> Sequence[np.ndarray]:
         return [self._folder.read(k, index) for k in range(len(self.rig))]

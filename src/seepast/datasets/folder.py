@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..rig import Rig
+from .eight_bits import EightBits
 from .png import read_png8
 from .protocol import NO_MASKS, Frame
 
@@ -31,11 +32,12 @@ class FolderDataset:
     rig     cameras of rig.yaml; images come in this order
     stamps  names of the instants that every camera has, sorted
     masks   the folder the masks are read from, None where nothing is dynamic
+    reading what was said about bits (OpenOptions), None where nothing was
 
     Files are listed and matched on opening and decoded one frame at a time. Raises RigError or DatasetError.
     """
 
-    def __init__(self, path: str | Path, masks: str | None = None):
+    def __init__(self, path: str | Path, masks: str | None = None, bits: int | None = None):
         self.path = Path(path)
         self.name = self.path.resolve().name
         self.rig = Rig.from_kalibr(self.path / RIG_FILE)
@@ -46,6 +48,8 @@ class FolderDataset:
         if self.masks is not None:
             _check_masks_present(self.masks, self._names, self.stamps)
         self._warned_about_binary_masks = False
+        self._deep = EightBits(bits)
+        self.reading = None if bits is None else {"reader": "folder", "bits": bits}
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -62,7 +66,7 @@ class FolderDataset:
 
     def _image(self, camera: int, stamp: str) -> np.ndarray:
         path = self.path / self._names[camera] / f"{stamp}.png"
-        image = read_png8(path)
+        image = read_png8(path, self._deep)
         self._check_size(path, camera, image)
         return image
 

@@ -17,8 +17,9 @@ import numpy as np
 
 from ..errors import DatasetError
 from ..rig import Camera, Rig
+from .eight_bits import FULL, EightBits
 from .png import read_png8
-from .protocol import OpenOptions
+from .protocol import OpenOptions, said_bits
 from .recording import DEFAULT_MASKS, RIG_FILE, MaskFolder, Recording, find_rig, mask_path
 
 STAMP = "000000"
@@ -62,12 +63,13 @@ class MiddleburyDataset(Recording):
             raise DatasetError(f"{path}: no Middlebury views; name a folder with view0.png ... or im0.ppm ...")
         self._files = list(views.values())
         self._positions = list(views)
-        self._offset = _crop(path, _height(self._files[0]))
+        self._offset = _crop(path, _size(self._files[0])[0])
         rig, rig_file = self._rig(path, options)
         masks = None
         if options.masks is not None or (path / DEFAULT_MASKS).is_dir():
             masks = mask_path(path, options.masks)
-        super().__init__(path, rig, rig_file, [STAMP], masks)
+        super().__init__(path, rig, rig_file, [STAMP], masks, options.bits)
+        self.reading = {"reader": "middlebury", **said_bits(options)} if said_bits(options) else None
         self.truth = tuple(rig.cameras[k].name for k in range(len(rig)) if self._truth_file(k))
         if masks is not None:
             self._folder = MaskFolder(masks, [camera.name for camera in rig.cameras], [[(STAMP,)]] * len(rig))
@@ -106,7 +108,7 @@ class MiddleburyDataset(Recording):
         return next((name for name in names if name.is_file()), None)
 
     def _images(self, index: int) -> Sequence[np.ndarray]:
-        return [_read(file) for file in self._files]
+        return [_read(file, self._deep) for file in self._files]
 
     def _masks(self, index: int) -> Sequence[np.ndarray]:
         return [self._folder.read(k, index) for k in range(len(self.rig))]
@@ -115,17 +117,21 @@ class MiddleburyDataset(Recording):
         return str(self._files[camera])
 
 
-def _read(file: Path) -> np.ndarray:
+def _read(file: Path, deep: EightBits | None = None) -> np.ndarray:
     if file.suffix == ".png":
-        return read_png8(file)
+        return read_png8(file, deep)
     image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if image is not None and image.dtype == np.uint16 and deep is not None:
+        return deep(file, image)
     if image is None or image.dtype != np.uint8:
-        raise DatasetError(f"{file}: cannot be decoded as an image of 8 bits; copy it again")
+        raise DatasetError(f"{file}: cannot be decoded as an image of 8 or 16 bits; copy it again")
     return image
 
 
-def _height(file: Path) -> int:
-    return _read(file).shape[0]
+def _size(file: Path) -> tuple[int, int]:
+    """Height and width."""
+    height, width = _read(file, EightBits(FULL)).shape[:2]
+    return height, width
 
 
 def _shrunk(height: int) -> int | None:
@@ -147,7 +153,7 @@ def _crop(path: Path, height: int) -> float:
 
 def _linear(files: Sequence[Path], positions: Sequence[int], offset: float) -> Rig:
     """The array: camera k at its position * SPACING, its principal point moved by what was cropped off its view."""
-    height, width = _read(files[0]).shape[:2]
+    height, width = _size(files[0])
     shrunk = _shrunk(height) if files[0].name.startswith("view") else None
     focal = FOCAL / shrunk if shrunk else NOMINAL_FOCAL * width
     first = positions[0]

@@ -25,12 +25,19 @@ class OpenOptions:
     topics     image topics of a ROS bag in the order of the rig's cameras, separated by commas; or one with {}
                for the camera's name. None = the rostopic of each camera in the rig
     tolerance  seconds that the images of one instant may be apart in time; None = DEFAULT_TOLERANCE
+    bits       how many of their bits images of 16 fill, for making them 8 (eight_bits.py); None = 16
     """
 
     masks: str | None = None
     rig: Path | None = None
     topics: str | None = None
     tolerance: float | None = None
+    bits: int | None = None
+
+
+def said_bits(options: OpenOptions) -> dict[str, int]:
+    """What goes into `Dataset.reading` about bits: nothing where nothing was said."""
+    return {} if options.bits is None else {"bits": options.bits}
 
 
 @dataclass(frozen=True)

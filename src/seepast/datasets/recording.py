@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import DatasetError, RigError
 from ..rig import Rig
+from .eight_bits import EightBits
 from .png import read_png8
 from .protocol import NO_MASKS, Dropped, Frame, OpenOptions
 
@@ -88,7 +89,15 @@ class Recording(ABC):
     dropped: tuple[Dropped, ...] = ()
     reading: Mapping[str, Any] | None = None
 
-    def __init__(self, path: Path, rig: Rig, rig_file: Path, stamps: Sequence[str], masks: Path | None):
+    def __init__(
+        self,
+        path: Path,
+        rig: Rig,
+        rig_file: Path,
+        stamps: Sequence[str],
+        masks: Path | None,
+        bits: int | None = None,
+    ):
         self.path = path
         resolved = path.resolve()
         self.name = resolved.name if path.is_dir() else resolved.stem
@@ -96,6 +105,7 @@ class Recording(ABC):
         self.stamps = stamps
         self.masks = masks
         self._rig_file = rig_file
+        self._deep = EightBits(bits)
         self._index = {stamp: index for index, stamp in enumerate(stamps)}
         self._lock = threading.Lock()
 

@@ -5,17 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import DatasetError
 from .bag import Bag, TopicIndex
 from .bag_file import Entry
+from .bag_video import VideoTopic
 from .grouping import grouped, log_dropped, nanoseconds
-from .protocol import Dropped, OpenOptions
+from .protocol import Dropped, OpenOptions, said_bits
 from .recording import MaskFolder, Recording, find_rig, mask_path
 from .ros_images import decode_message
 from .topics import image_topics, mask_topics
+
+AT_ONCE = 32  # frames of video that are kept while a decoder catches up
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +64,11 @@ class RosbagDataset(Recording):
         index = self._bag.index([*topics, *of_masks])
         _check_filled(path, index)
         self._streams, dropped = _frames(path, names, topics, [index[topic] for topic in topics], tolerance)
+        self._videos = {
+            k: VideoTopic(*zip(*index[topic].recorded, strict=True))
+            for k, topic in enumerate(topics)
+            if index[topic].recorded
+        }
         self._mask_streams: list[_Stream] = []
         if of_masks:
             masks = [index[topic] for topic in of_masks]
@@ -67,22 +76,42 @@ class RosbagDataset(Recording):
             dropped += lost
         where = Path(f"{path}#{','.join(of_masks)}") if of_masks else mask_path(path, options.masks)
         stamps = [_stamp_name(time) for time in self._streams[0].times]
-        super().__init__(path, rig, rig_file, stamps, where)
+        super().__init__(path, rig, rig_file, stamps, where, options.bits)
         self.times = np.stack([stream.times for stream in self._streams], axis=1)
         self.dropped = dropped
         reader = "rosbag-split" if self._bag.parts > 1 else "rosbag"
-        self.reading = {"reader": reader, "topics": topics, "tolerance": tolerance / 1e9}
+        self.reading = {"reader": reader, "topics": topics, "tolerance": tolerance / 1e9, **said_bits(options)}
         if where is not None and not of_masks:
             own = [[_stamp_name(time) for time in stream.times] for stream in self._streams]
             self._folder = MaskFolder(where, names, [list(zip(stamps, mine, strict=True)) for mine in own])
-        log_dropped(path, dropped, sum(len(index[topic].stamps) + index[topic].repeated for topic in topics))
+        log_dropped(path, dropped, sum(len(index[t].stamps) + index[t].repeated + index[t].early for t in topics))
 
     def _images(self, index: int) -> Sequence[np.ndarray]:
         streams = self._streams + self._mask_streams  # at one go, which reads forward only
-        messages = self._bag.fetch([stream.entry(index) for stream in streams])
+        entries = [stream.entry(index) for stream in streams]
+        self._catch_up(entries)
+        messages = self._bag.fetch(entries)
         self._mask_messages = messages[len(self._streams) :]
-        own = messages[: len(self._streams)]
-        return [decode_message(self._where(k, index), message) for k, message in enumerate(own)]
+        return [self._image(k, index, message) for k, message in enumerate(messages[: len(self._streams)])]
+
+    def _catch_up(self, entries: Sequence[Entry]) -> None:
+        """Take the decoders of video to just before the frame of `entries`."""
+        waiting = {k: list(video.missing(entries[k])[:-1]) for k, video in self._videos.items()}
+        while any(waiting.values()):
+            now = {k: own[:AT_ONCE] for k, own in waiting.items()}
+            waiting = {k: own[AT_ONCE:] for k, own in waiting.items()}
+            fetched = iter(self._bag.fetch([entry for own in now.values() for entry in own]))
+            for k, own in now.items():
+                for entry in own:
+                    self._videos[k].feed(self._place(entry), next(fetched))
+
+    def _image(self, camera: int, index: int, message: Any) -> np.ndarray:
+        where, video = self._where(camera, index), self._videos.get(camera)
+        if video is None:
+            return decode_message(where, message, self._deep)
+        if video.missing(self._streams[camera].entry(index)):
+            video.feed(where, message)
+        return video.image(where)
 
     def _masks(self, index: int) -> Sequence[np.ndarray]:
         if not self._mask_streams:
@@ -95,7 +124,9 @@ class RosbagDataset(Recording):
         return masks
 
     def _where(self, camera: int, index: int) -> str:
-        entry = self._streams[camera].entry(index)
+        return self._place(self._streams[camera].entry(index))
+
+    def _place(self, entry: Entry) -> str:
         return f"{self.path}: {entry.topic} at {_stamp_name(entry.stamp)}"
 
 
@@ -118,6 +149,10 @@ def _frames(
         Dropped(index.repeated, f"{topic} has another image with the same time stamp")
         for index, topic in zip(images, topics, strict=True)
         if index.repeated
+    ) + tuple(
+        Dropped(index.early, f"{topic} has them before its first key frame")
+        for index, topic in zip(images, topics, strict=True)
+        if index.early
     )
     return [_Stream(index, members[:, k]) for k, index in enumerate(images)], repeated + dropped
 

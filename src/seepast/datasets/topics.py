@@ -7,8 +7,9 @@ from pathlib import Path
 
 from ..errors import DatasetError
 from ..rig import Camera
-from .bag import IMAGE_TYPES, Bag
+from .bag import IMAGE_TYPES, STILL_TYPES, Bag
 
+TRANSPORTS = ("compressed", "foxglove", "ffmpeg")  # what those of image_transport put behind the topic
 MASK_TOPICS = "topics:"  # the masks argument begins so where masks are messages, too
 
 
@@ -43,7 +44,7 @@ def mask_topics(bag: Bag, cameras: Sequence[Camera], masks: str | None) -> list[
     if masks is None or not masks.startswith(MASK_TOPICS):
         return []
     wanted = listed(masks.removeprefix(MASK_TOPICS), cameras, f"--masks {MASK_TOPICS}")
-    return [_there(bag, topic, "--masks names") for topic in wanted]
+    return [_there(bag, topic, "--masks names", STILL_TYPES) for topic in wanted]
 
 
 def listed(topics: str, cameras: Sequence[Camera], option: str) -> list[str]:
@@ -59,11 +60,13 @@ def listed(topics: str, cameras: Sequence[Camera], option: str) -> list[str]:
     return names
 
 
-def _there(bag: Bag, topic: str, who: str) -> str:
-    """The bag's name of an image topic: as it is, with or without its leading slash, with /compressed behind it."""
+def _there(bag: Bag, topic: str, who: str, kinds: Sequence[str] = IMAGE_TYPES) -> str:
+    """The bag's name of an image topic: as it is, with or without its leading slash, with the name of a transport
+    behind it."""
     base = "/" + topic.strip("/")
-    for name in (topic, base, base[1:], f"{base}/compressed", f"{base[1:]}/compressed"):
-        if bag.topics.get(name) in IMAGE_TYPES:
+    variants = [base, base[1:], *(f"{b}/{transport}" for transport in TRANSPORTS for b in (base, base[1:]))]
+    for name in (topic, *variants):
+        if bag.topics.get(name) in kinds:
             return name
     kind = bag.topics.get(base) or bag.topics.get(base[1:])
     problem = f"is of type {kind}, not an image" if kind else "is not in the bag"
@@ -78,4 +81,4 @@ def _image_topics_there(bag: Bag) -> str:
     if images:
         return f"the bag has the images {', '.join(images)}"
     others = ", ".join(f"{topic} ({kind})" for topic, kind in sorted(bag.topics.items())) or "nothing"
-    return f"the bag has no sensor_msgs/Image or CompressedImage, but {others}"
+    return f"the bag has no sensor_msgs/Image, CompressedImage or video, but {others}"

@@ -12,6 +12,7 @@ from functools import partial
 
 import numpy as np
 
+from ..datasets.eight_bits import EightBits
 from ..datasets.ros_images import decode_message
 from ..errors import DatasetError, InputError, OptionsError
 from ..pipeline import Reconstructor
@@ -35,11 +36,16 @@ OnReport = Callable[[Report], None]
 
 @dataclass(frozen=True)
 class Inputs:
-    """images: a topic per camera, in the rig's order; masks: likewise, or none; tolerance: ns within an instant."""
+    """What is subscribed to.
+
+    images: a topic per camera, in the rig's order; masks: likewise, or none; tolerance: ns within an instant; bits: as
+    OpenOptions has it, for images of 16.
+    """
 
     images: Sequence[str]
     masks: Sequence[str] = ()
     tolerance: int = 5_000_000
+    bits: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +99,7 @@ class Server:
         )
         self._grouper = Grouper([*inputs.images, *inputs.masks], inputs.tolerance)
         self._latest: Latest[_Instant] = Latest(room)
+        self._deep = EightBits(inputs.bits)
         self._heard: Counter[str] = Counter()
         self._told: set[str] = set()
         self._total, self._recent = Figures(), Figures()
@@ -150,7 +157,7 @@ class Server:
 
     def _serve(self, instant: _Instant) -> None:
         try:
-            images = self._decoded(instant.images, "")
+            images = self._decoded(instant.images, "", self._deep)
             masks: Sequence[np.ndarray] | None = None
             if self._segmenter is not None:
                 masks = self._segmenter(images)
@@ -167,9 +174,9 @@ class Server:
             figures.unsent += unsent
             figures.out(latency, age)
 
-    def _decoded(self, messages: Sequence[AnyImage], what: str) -> list[np.ndarray]:
+    def _decoded(self, messages: Sequence[AnyImage], what: str, deep: EightBits | None = None) -> list[np.ndarray]:
         cameras = zip(self.rig.cameras, messages, strict=True)
-        return [decode_message(f"{camera.name}{what}", message) for camera, message in cameras]
+        return [decode_message(f"{camera.name}{what}", message, deep) for camera, message in cameras]
 
     def _outputs(self, instant: _Instant, result: Result) -> list[tuple[str, Message]]:
         reference = self._reconstructor.reference

@@ -1,4 +1,4 @@
-// What the views say about each other's disparities: reference_multiview.witnesses, labels, confidence_of.
+// What the views say about each other's disparities: reference_multiview.witnesses, labels, graded.
 //
 // One thread per pixel, blockIdx.z is the view. offsets [V, K, 5], centers [V, 2]: the array as seen from V
 // cameras. d uint16 [V, H, W]; disparities uint16, is_static uint8 [K, H, W] of all cameras.
@@ -9,6 +9,7 @@ using namespace seepast;
 namespace {
 
 constexpr int kAcross = 32, kDown = 8;
+constexpr uint64_t kNothing = 0, kEverything = 1;  // in place of an address
 
 struct Said {
   int agree, farther;
@@ -56,15 +57,28 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   farther[at] = static_cast<uint8_t>(said.farther);
 }
 
-// agree, farther, is_static uint8 [count].
-extern "C" __global__ void __launch_bounds__(256)
-    confidence_of(const uint8_t* __restrict__ agree, const uint8_t* __restrict__ farther,
-                  const uint8_t* __restrict__ is_static, int count, int confident, int lone, int doubtful,
-                  uint8_t* __restrict__ out) {
-  const int i = blockIdx.x * 256 + threadIdx.x;
-  if (i >= count) return;
-  const int grade = agree[i] ? confident : (farther[i] ? doubtful : lone);
-  out[i] = static_cast<uint8_t>(is_static[i] ? grade : 0);
+// What witnesses make of the views themselves (reference_multiview.graded). actives uint64 [K]: the address
+// of a view's active chunks uint64 [H, W], which are asked about; kNothing; or kEverything. confidence, sure
+// uint8 [K, H, W].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    graded(const float* __restrict__ offsets, const float* __restrict__ centers,
+           const uint16_t* __restrict__ found, const uint8_t* __restrict__ is_static,
+           const uint64_t* __restrict__ actives, int cameras, int height, int width, int tolerance,
+           int confident, int lone, int doubtful, uint8_t* __restrict__ confidence,
+           uint8_t* __restrict__ sure) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height) return;
+  const int at = (view * height + y) * width + x;
+  const uint64_t active = actives[view];
+  const bool asked = active == kEverything ||
+                     (active != kNothing && reinterpret_cast<const uint64_t*>(active)[y * width + x] != 0);
+  Said said{0, 0};
+  if (asked)
+    said = ask(offsets + kOffsets * cameras * view, centers[2 * view], centers[2 * view + 1], x, y, found[at],
+               found, is_static, cameras, height, width, view, tolerance);
+  const int grade = said.agree ? confident : (said.farther ? doubtful : lone);
+  confidence[at] = static_cast<uint8_t>(asked && is_static[at] ? grade : 0);
+  sure[at] = said.agree > 0;
 }
 
 // Of one view: offsets [K, 5]; d, shown, passing uint16 [H, W].
