@@ -104,13 +104,18 @@ struct Columns {
   std::vector<std::vector<int32_t>> starts;  // [block][candidate]: its first run
 };
 
+// How many rows below its own a ray lands; `height` stands for all that is farther, which is outside the
+// image.
+inline int drop_at(const RayShift& shift, int y, float cy, int height) {
+  return clamp(whole_offset(ray_dy(shift, y, cy)), -height, height);
+}
+
 // How many rows below row y rays land at every candidate.
 SEEPAST_CLONES
-void drops_at(int y, float cy, const Columns& columns, int32_t* __restrict out) {
+void drops_at(int y, float cy, int height, const Columns& columns, int32_t* __restrict out) {
   const float *zoom = columns.zoom.data(), *down = columns.down.data(), *view = columns.view.data();
   const int count = static_cast<int>(columns.zoom.size());
-  for (int i = 0; i < count; ++i)
-    out[i] = whole_offset(ray_dy(RayShift{zoom[i], 0, down[i], 0, view[i]}, y, cy));
+  for (int i = 0; i < count; ++i) out[i] = drop_at(RayShift{zoom[i], 0, down[i], 0, view[i]}, y, cy, height);
 }
 
 // What all rows of a view share.
@@ -195,7 +200,7 @@ struct Matcher {
         rows.list.push_back(to >= 0 && to < height ? ring.row(k, to) : FeatureRow{nullptr, nullptr});
     for (size_t i = 0; i < volumes.size(); ++i)
       if (wants(volumes[i])) {
-        drops_at(y, volumes[i].array().cy, volumes[i].columns, matchers[i]->drops.data());
+        drops_at(y, volumes[i].array().cy, height, volumes[i].columns, matchers[i]->drops.data());
         matchers[i]->match_row(y);
       }
   }
@@ -225,7 +230,7 @@ Drop drop_of(const std::vector<Volume>& volumes) {
   for (const Volume& volume : volumes)
     for (const RayShift& shift : volume.columns.shifts)
       for (const int y : {0, volume.array().height - 1}) {  // in between it lies between these
-        const int rows = whole_offset(ray_dy(shift, y, volume.array().cy));
+        const int rows = drop_at(shift, y, volume.array().cy, volume.array().height);
         drop.least = std::min(drop.least, rows), drop.most = std::max(drop.most, rows);
       }
   return drop;
