@@ -50,7 +50,7 @@ GROUPS = {  # kernels by the beginnings of their names: what gpu_model.py counts
     "windows.": "windows",
     "witness.evidence": "evidence",
     "witness.labels": "labels",
-    "witness.": "witnesses",
+    "witness.": "graded",
 }
 
 

@@ -136,22 +136,23 @@ class Counted:
         self.kernels["votes"].add(polled, 27 * (self.cameras - 1) + 55, 2)
         self.kernels["votes"].add(candidates.active.size, 0, 13 + 3 * self.cameras)
 
-    def witnesses_of_views(self, found, static, views, tolerance):
-        self.kernels["witnesses"].add(found.size, 73 * (self.cameras - 1) + 60, 7, 1)
-        return cpu_multiview.witnesses_of_views(found, static, views, tolerance)
+    def graded_of_views(self, found, static, views, tolerance, lone, doubtful, candidates=None):
+        if candidates is None:
+            asked = found.size
+        else:
+            asked = sum(np.count_nonzero(of.active) for of in candidates if of is not None)
+        self.kernels["graded"].add(asked, 73 * (self.cameras - 1) + 95, 5, 1)
+        self.kernels["graded"].add(found.size, 0, 4)
+        return cpu_multiview.graded_of_views(found, static, views, tolerance, lone, doubtful, candidates)
 
     def witnesses(self, disparity, disparities, static, geometry, skip, tolerance):
-        self.kernels["witnesses"].add(disparity.size, 73 * (self.cameras - 1) + 60, 4 + 3 * self.cameras, 1)
+        self.kernels["graded"].add(disparity.size, 73 * (self.cameras - 1) + 60, 4 + 3 * self.cameras, 1)
         return cpu_multiview.witnesses(disparity, disparities, static, geometry, skip, tolerance)
 
-    def confidence_of(self, agree, farther, static, lone, doubtful):
-        self.kernels["witnesses"].add(agree.size, 35, 4, 1)
-        return cpu_multiview.confidence_of(agree, farther, static, lone, doubtful)
-
-    def planes_of_views(self, found, agree, colour, static):
-        self.kernels["planes"].add(np.count_nonzero(agree == 0), 6950, 0, 1)
+    def planes_of_views(self, found, sure, colour, static):
+        self.kernels["planes"].add(np.count_nonzero(~sure), 6950, 0, 1)
         self.kernels["planes"].add(found.size, 160, 9)
-        return cpu_multiview.planes_of_views(found, agree, colour, static)
+        return cpu_multiview.planes_of_views(found, sure, colour, static)
 
     def planes(self, disparity, trusted, wanted, image, static):
         self.kernels["planes"].add(np.count_nonzero(wanted), 6950, 0, 1)
