@@ -45,6 +45,14 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "landings",
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> d,
+         Out<uint8_t, 3> out) {
+        landings(array_of(offsets, cx, cy, d.shape(0), d.shape(1)), hidden.data(), d.data(), out.data());
+      },
+      free_lock);
+
+  m.def(
       "volumes",
       [](In<float, 3> offsets, In<float, 2> centers, In<int32_t, 1> numbers, In<uint8_t, 4> colour,
          In<uint8_t, 3> is_static, In<int32_t, 2> cubic, In<int32_t, 1> luma, const Grid& grid,

@@ -26,6 +26,10 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
              const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
              int32_t* start);
 
+// Where the rays of the reference's pixels `hidden` uint8 [H, W] at disparity d px [H, W] end, to the nearest
+// pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
+void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out);
+
 struct PairCostParams {
   const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few
   uint8_t few, colour_cap, lone, unseen;

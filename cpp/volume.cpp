@@ -104,18 +104,14 @@ struct Columns {
   std::vector<std::vector<int32_t>> starts;  // [block][candidate]: its first run
 };
 
-// How many rows below its own a ray lands; `height` stands for all that is farther, which is outside the
-// image.
-inline int drop_at(const RayShift& shift, int y, float cy, int height) {
-  return clamp(whole_offset(ray_dy(shift, y, cy)), -height, height);
-}
-
-// How many rows below row y rays land at every candidate.
+// How many rows below row y rays land at every candidate; `height` rows below or above it is outside in any
+// case.
 SEEPAST_CLONES
 void drops_at(int y, float cy, int height, const Columns& columns, int32_t* __restrict out) {
   const float *zoom = columns.zoom.data(), *down = columns.down.data(), *view = columns.view.data();
   const int count = static_cast<int>(columns.zoom.size());
-  for (int i = 0; i < count; ++i) out[i] = drop_at(RayShift{zoom[i], 0, down[i], 0, view[i]}, y, cy, height);
+  for (int i = 0; i < count; ++i)
+    out[i] = clamp(whole_offset(ray_dy(RayShift{zoom[i], 0, down[i], 0, view[i]}, y, cy)), -height, height);
 }
 
 // What all rows of a view share.
@@ -180,7 +176,7 @@ struct Matcher {
   Matcher(const std::vector<Volume>& volumes, const std::vector<DescribedView>& described, const Drop& drop)
       : volumes(volumes),
         ring(static_cast<int>(described.size()), described[0].width,
-             drop.most - drop.least + 1 + Describer::kReach + 1),
+             std::min(drop.most - drop.least + 1, described[0].height) + Describer::kReach + 1),
         rows{drop, ring.cameras, {}} {
     for (size_t k = 0; k < described.size(); ++k)
       describers.emplace_back(described[k], ring, static_cast<int>(k));
@@ -227,12 +223,15 @@ void match_rows(const std::vector<Volume>& volumes, const std::vector<DescribedV
 
 Drop drop_of(const std::vector<Volume>& volumes) {
   Drop drop;
-  for (const Volume& volume : volumes)
-    for (const RayShift& shift : volume.columns.shifts)
-      for (const int y : {0, volume.array().height - 1}) {  // in between it lies between these
-        const int rows = drop_at(shift, y, volume.array().cy, volume.array().height);
+  for (const Volume& volume : volumes) {
+    std::vector<int32_t> drops(volume.columns.shifts.size());
+    const int height = volume.array().height;
+    for (const int y : {0, height - 1}) {  // in between it lies between these
+      drops_at(y, volume.array().cy, height, volume.columns, drops.data());
+      for (const int rows : drops)
         drop.least = std::min(drop.least, rows), drop.most = std::max(drop.most, rows);
-      }
+    }
+  }
   return drop;
 }
 

@@ -189,7 +189,10 @@ struct RowMatcher {
       for (uint64_t left = active[x]; left; left &= left - 1)
         wants[__builtin_ctzll(left)] |= uint64_t{1} << x;
     int32_t next[kBlock];
-    std::memcpy(next, v.view.chunks.start + first, sizeof(int32_t) * static_cast<size_t>(width));
+    if (width == kBlock)  // a copy of known size is a few instructions
+      std::memcpy(next, v.view.chunks.start + first, sizeof(next));
+    else
+      std::memcpy(next, v.view.chunks.start + first, sizeof(int32_t) * static_cast<size_t>(width));
     for (; any; any &= any - 1) {
       const int chunk = __builtin_ctzll(any);
       match_chunk(b, chunk, wants[chunk]);

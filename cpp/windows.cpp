@@ -1,6 +1,7 @@
 // Stage "candidates" of the many-view method: where a coarser level says to look.
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <numeric>
 #include <vector>
 
@@ -132,6 +133,27 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
       }
   }
   start[static_cast<size_t>(height) * width] = before[rows];
+}
+
+void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out) {
+  const float cx = array.cx, cy = array.cy;
+#pragma omp parallel for schedule(static)
+  for (int k = 0; k < array.cameras; ++k) {
+    const float* offset = array.offsets + kOffsets * k;
+    uint8_t* const there = out + k * array.pixels();
+    for (int y = 0; y < array.height; ++y)
+      for (int x = 0; x < array.width; ++x) {
+        const size_t at = static_cast<size_t>(y) * array.width + x;
+        if (!hidden[at]) continue;
+        const float scale = 1.0f / (1.0f - d[at] * offset[2]);
+        const float u = cx + (static_cast<float>(x) - cx - d[at] * offset[0]) * scale + offset[3];
+        const float v = cy + (static_cast<float>(y) - cy - d[at] * offset[1]) * scale + offset[4];
+        const float column = std::nearbyint(u), row = std::nearbyint(v);
+        if (column >= 0 && column < static_cast<float>(array.width) && row >= 0 &&
+            row < static_cast<float>(array.height))
+          there[static_cast<size_t>(row) * array.width + static_cast<size_t>(column)] = 1;
+      }
+  }
 }
 
 }  // namespace seepast

@@ -112,6 +112,14 @@ def threads():
 
 
 @every_scene
+def test_landings(name):
+    c = case(name)
+    for k in c.some_views:
+        given = ~c.static[k], c.disparities[k] / np.float32(UNITS), c.views[k]
+        assert_same(*(b.landings(*given) for b in (reference, cpu)))
+
+
+@every_scene
 @pytest.mark.parametrize("kind", KINDS)
 def test_volume(name, kind):
     c = case(name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +21,6 @@ from .host import (
     clear_of_masks,
     enlarged,
     inner_span,
-    landings,
     probability,
     ray_count,
     three_channels,
@@ -60,7 +60,7 @@ __all__ = [
 ]
 
 _views = OneByOne(sys.modules[__name__])
-aggregates, votes_of_views = _views.aggregates, _views.votes_of_views
+votes_of_views = _views.votes_of_views
 planes_of_views = _views.planes_of_views
 graded_of_views = _views.graded_of_views
 everything = Candidates.all
@@ -108,6 +108,12 @@ def windows_of_views(
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
+def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    out = np.zeros((geometry.cameras, *hidden.shape), bool)
+    _core.landings(geometry.offsets, *geometry.center, _bytes(hidden), disparity, _bytes(out))
+    return out
+
+
 def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, costs: PairCosts) -> np.ndarray:
     return volumes(features, [geometry], [candidates], costs)[0]
 
@@ -150,18 +156,34 @@ def aggregate(
     penalties: Penalties,
     paths: int = 8,
     otherwise: np.ndarray | None = None,
+    out: np.ndarray | None = None,
 ) -> np.ndarray:
-    if otherwise is None:
-        found = np.full(static.shape, UNITS // EIGHTHS * candidates.grid.first, np.uint16)
-    else:
-        found = otherwise.copy()
+    """`out`, where the disparities go, must not be `otherwise`."""
+    found = np.empty(static.shape, np.uint16)
+    found[...] = UNITS // EIGHTHS * candidates.grid.first if otherwise is None else otherwise
     scratch = _scratch(_core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs)))
     _core.aggregate(
         costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
         penalties.large, penalties.dynamic, paths, scratch, found,
     )  # fmt: skip
-    out = np.empty_like(found)
+    out = np.empty_like(found) if out is None else out
     _core.median(found, out)
+    return out
+
+
+def aggregates(
+    costs: Iterable[np.ndarray],
+    images: Sequence[np.ndarray],
+    static: Sequence[np.ndarray],
+    candidates: Sequence[Candidates],
+    penalties: Penalties,
+    paths: int = 8,
+    otherwise: Sequence[np.ndarray] | None = None,
+) -> np.ndarray:
+    out = np.empty((len(images), *static[0].shape), np.uint16)
+    for i, volume in enumerate(costs):
+        kept = None if otherwise is None else otherwise[i]
+        aggregate(volume, images[i], static[i], candidates[i], penalties, paths, kept, out[i])
     return out
 
 
