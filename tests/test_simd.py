@@ -138,23 +138,23 @@ def test_recordings_hold_the_core_of_every_preset(recordings):
     called = {preset: set(calls) for preset, (_, calls) in recordings.items()}
     assert {"support_of_camera", "disparity", "segmentation", "refocus"} <= called["paper"]
     for preset in ("accurate", "fast"):
-        assert {"census", "volume", "aggregate", "witnesses", "blend"} <= called[preset]
+        assert {"volumes", "aggregate", "graded", "witnesses", "blend"} <= called[preset]
     everything = {n for n in dir(_core) if not n.startswith("_") and "func" in type(getattr(_core, n)).__name__}
     missing = everything - set().union(*called.values()) - {"set_threads", "simd"}
     assert not missing, "these are never compared"
 
 
 def test_a_call_that_gives_something_else_is_found(recordings, tmp_path):
-    """A bit of what census was given is turned over, and so what it writes."""
+    """A bit of what volumes was given is turned over, and so what it writes."""
     if not (BUILDS / "baseline" / "replay").exists():
         pytest.skip("the baseline is not built")
     path, calls = recordings["fast"]
     bytes_ = bytearray(path.read_bytes())
-    name = bytes_.index(b"\x06census")
+    name = bytes_.index(b"\x07volumes")
     colour = bytes_.index(b"a\x02u1\x04", name) + 5
     shape = struct.unpack_from("<4q", bytes_, colour)
     bytes_[colour + 40 + int(np.prod(shape)) // 2] ^= 128
     changed = tmp_path / "changed"
     changed.write_bytes(bytes_)
     found, differ, _ = repeated([BUILDS / "baseline" / "replay"], changed)
-    assert found == calls and differ == {"census": 1}
+    assert found == calls and differ == {"volumes": 1}
