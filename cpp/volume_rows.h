@@ -195,6 +195,7 @@ struct RowMatcher {
       std::memcpy(next, v.view.chunks.start + first, sizeof(int32_t) * static_cast<size_t>(width));
     for (; any; any &= any - 1) {
       const int chunk = __builtin_ctzll(any);
+      fetch(b, chunk);
       match_chunk(b, chunk, wants[chunk]);
       put_chunk(wants[chunk], next);
     }
@@ -213,6 +214,23 @@ struct RowMatcher {
     own = {own_planes[0], own_planes[2 * kBytes], kBlock, block.clear, block.blind};
     seen = 0;
     for (int x = 0; x < kBlock; ++x) seen |= static_cast<uint64_t>(own_planes[3 * kBytes][x] & 1) << x;
+  }
+
+  // Asks for what a chunk will look at, all at once.
+  void fetch(int b, int chunk) const {
+    const Columns& columns = v.columns;
+    const int cameras = v.array().cameras;
+    const int first = columns.starts[b][kChunk * chunk];
+    const Place* place = columns.places[b].data() + static_cast<size_t>(first) * cameras;
+    for (int k = 0; k < cameras; ++k) {
+      const FeatureRow& row = rows.at(k, drops[static_cast<size_t>(kChunk * chunk) * cameras + k]);
+      if (k == v.view.number || !row.planes || place[k].at < 0) continue;
+      const uint8_t* at = row.planes + place[k].at % columns.stride;
+      for (int plane = 0; plane < kPlanes; ++plane, at += columns.stride) {
+        __builtin_prefetch(at);
+        __builtin_prefetch(at + 64);
+      }
+    }
   }
 
   // The candidates of a chunk for the columns `wanted` of one block into `tile`.
