@@ -79,6 +79,7 @@ class Describer {
   const DescribedView& view;
   FeatureRing& ring;
   int camera;
+  const bool wide = simd() >= Simd::avx512;
   int next = 0, sampled = -kReach;  // rows that come next: to describe, to sample
   size_t line;
   std::vector<uint16_t> luma;      // [kRows, 4, line]
