@@ -111,6 +111,21 @@ def threads():
 # -------------------------------------------------------------------------------------------- backends agree
 
 
+def test_volumes_that_are_held_are_not_written_over():
+    c = case("5, step")
+    k, grid = c.geometry.reference, VOLUME_GRIDS[0]
+    features = cpu.describe(c.colour, c.static)
+    everything = Candidates.all(grid, c.static.shape[1:])
+    held = cpu.volume(features, c.views[k], everything, COSTS)
+    was = held[:7].copy()
+    cpu.volume(features, c.views[k], everything, PairCosts(COSTS.census_scale, 1, 2, 3, 4))
+    assert_same(held[:7], was)
+    row = held[3]
+    del held
+    cpu.volume(features, c.views[k], everything, PairCosts(COSTS.census_scale, 1, 2, 3, 4))
+    assert_same(row, was[3])
+
+
 @every_scene
 def test_landings(name):
     c = case(name)

@@ -124,7 +124,7 @@ def volumes(
     if not views:  # nothing is asked for
         return []
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
-    out = np.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
+    out = _volume(sum(c.chunks for c in candidates))
     _core.volumes(
         np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32),
         np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), CUBIC, LUMA,
@@ -188,6 +188,15 @@ def aggregates(
 
 
 _kept = threading.local()
+
+
+def _volume(rows: int) -> np.ndarray:
+    """uint8 [rows, CHUNK]: the memory of this thread's volumes before, if nobody holds one of them any more."""
+    kept = getattr(_kept, "volumes", None)
+    if kept is None or len(kept) < rows or sys.getrefcount(kept) > _kept.alone:
+        kept = _kept.volumes = np.empty((rows, CHUNK), np.uint8)
+        _kept.alone = sys.getrefcount(kept)  # what this Python counts where nobody else holds it
+    return kept[:rows]
 
 
 def _scratch(size: int) -> np.ndarray:
