@@ -45,6 +45,17 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "averaged",
+      [](In<uint8_t, 4> colour, In<uint8_t, 3> is_static, int scale, Out<uint8_t, 4> small,
+         Out<uint8_t, 3> small_static) {
+        averaged(static_cast<int>(is_static.shape(0)), static_cast<int>(is_static.shape(1)),
+                 static_cast<int>(is_static.shape(2)), colour.data(), is_static.data(), scale,
+                 static_cast<int>(small_static.shape(1)), static_cast<int>(small_static.shape(2)),
+                 small.data(), small_static.data());
+      },
+      free_lock);
+
+  m.def(
       "landings",
       [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> d,
          Out<uint8_t, 3> out) {

@@ -26,6 +26,11 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
              const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
              int32_t* start);
 
+// colour uint8 [V, H, W, 3], is_static uint8 [V, H, W] -> [V, h, w] of them, scale x scale pixels averaged
+// into one, which is static if all of them are. h scale <= H, w scale <= W.
+void averaged(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static, int scale,
+              int small_height, int small_width, uint8_t* small, uint8_t* small_static);
+
 // Where the rays of the reference's pixels `hidden` uint8 [H, W] at disparity d px [H, W] end, to the nearest
 // pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out);

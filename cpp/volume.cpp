@@ -158,7 +158,8 @@ namespace v4_bytes {
 #endif
 #if defined(SEEPAST_V3) || defined(SEEPAST_V4)
 #pragma GCC push_options
-#if !defined(SEEPAST_LEVEL)  // else it is that already, or more, which takes no functions for less into itself
+#if !defined( \
+    SEEPAST_LEVEL)  // else it is that already, or more, which takes no functions for less into itself
 #pragma GCC target("arch=x86-64-v3")
 #endif
 namespace v3 {

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from arrays import make_scene
-from seepast import Options, multiview
+from arrays import SPACING, make_scene
+from seepast import Options, Rig, multiview, reconstruct
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, DisparityGrid
@@ -129,3 +129,13 @@ def test_levels_find_the_surface(coarsest, fine_views):
     found, _ = multiview.see_past(frame, scene.geometry, options, cpu, False, Clock())
     bad = np.abs(found["disparity"] - scene.disparity)[:, 20:-20] > 1
     assert bad.mean() < 0.1
+
+
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_a_few_rows_are_enough(preset):
+    """As narrow a strip as one likes: no level is reduced until nothing is left."""
+    for rows in (1, 3):
+        scene = make_scene(3, (300, rows), surface="plane", colour=True)
+        rig = Rig.linear(3, focal=scene.geometry.focal[0], spacing=SPACING, size=scene.geometry.size)
+        result = reconstruct(list(scene.views), None, rig, options=Options.preset(preset))
+        assert result.disparity.shape == (rows, 300)

@@ -126,6 +126,17 @@ def test_volumes_that_are_held_are_not_written_over():
     assert_same(row, was[3])
 
 
+@pytest.mark.parametrize("shape", [(8, 8), (13, 70), (35, 66)])
+@pytest.mark.parametrize("scale", [2, 4, 8])
+def test_averaged(shape, scale):
+    rng = np.random.default_rng(scale)
+    colour, static = rng.integers(0, 256, (3, *shape, 3), np.uint8), rng.random((3, *shape)) < 0.9
+    size = max(1, shape[1] // scale), max(1, shape[0] // scale)
+    for pictures in (colour, colour // 64 * 64):  # the latter full of halves
+        for found, expected in zip(*(b.averaged(pictures, static, size, scale) for b in (cpu, reference)), strict=True):
+            assert_same(found, expected)
+
+
 @every_scene
 def test_landings(name):
     c = case(name)

@@ -65,7 +65,8 @@ class Views:
 def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:
     """What the levels are reduced by, coarsest first: powers of two down to 1."""
     found = [1]
-    while 2 * found[0] <= o.coarsest and geometry.size[0] // (2 * found[0]) >= LEAST_WIDTH:
+    width, height = geometry.size
+    while 2 * found[0] <= min(o.coarsest, height) and width // (2 * found[0]) >= LEAST_WIDTH:
         found.insert(0, 2 * found[0])
     return found
 

@@ -50,10 +50,10 @@ def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, back
 
 def coarseness(geometry: ArrayGeometry, options: Options) -> int:
     """How often views are reduced for the coarse look: the masks want more of it than the range does."""
-    width, scale = geometry.size[0], 1
+    (width, height), scale = geometry.size, 1
     if not options.people.enabled:
-        return max(1, min(options.multiview.range_scale, width // 64))
-    while width // scale > options.people.surface_width:
+        return max(1, min(options.multiview.range_scale, width // 64, height))
+    while width // scale > options.people.surface_width and 2 * scale <= height:
         scale *= 2
     return scale
 

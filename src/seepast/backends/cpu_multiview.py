@@ -16,7 +16,6 @@ from ..geometry import ArrayGeometry
 from ..many import CONFIDENT, CUBIC, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
 from .host import (
-    averaged,
     beside,
     clear_of_masks,
     enlarged,
@@ -78,6 +77,15 @@ class Features:
 def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     """Nothing yet: what `volumes` describes of a row is in the cache when it is matched, and no longer than that."""
     return Features(colour, static)
+
+
+def averaged(
+    colour: np.ndarray, static: np.ndarray, size: tuple[int, int], scale: int
+) -> tuple[np.ndarray, np.ndarray]:
+    shape = len(static), size[1], size[0]
+    small, small_static = np.empty((*shape, 3), np.uint8), np.empty(shape, bool)
+    _core.averaged(np.ascontiguousarray(colour), _bytes(static), scale, small, _bytes(small_static))
+    return small, small_static
 
 
 def windows(

@@ -1,0 +1,69 @@
+// Views reduced to a level (levels.Level): several pixels averaged into one.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "multiview.h"
+
+namespace seepast {
+namespace {
+
+SEEPAST_CLONES
+void add_row(const uint8_t* __restrict row, int count, uint16_t* __restrict sum) {
+  for (int i = 0; i < count; ++i) sum[i] = static_cast<uint16_t>(sum[i] + row[i]);
+}
+
+SEEPAST_CLONES
+void keep_row(const uint8_t* __restrict row, int count, uint8_t* __restrict all) {
+  for (int i = 0; i < count; ++i) all[i] = all[i] & row[i];
+}
+
+// Rounded as OpenCV's INTER_AREA: halves go up in the mean of four, to even in others.
+template <int kScale>
+void mean_of_columns(const uint16_t* sum, int width, int scale, uint8_t* out) {
+  const int across = kScale ? kScale : scale;
+  const float share = 1.0f / static_cast<float>(across * across);
+  for (int x = 0; x < width; ++x, sum += 3 * across)
+    for (int c = 0; c < 3; ++c) {
+      int total = 0;
+      for (int i = 0; i < across; ++i) total += sum[3 * i + c];
+      out[3 * x + c] = static_cast<uint8_t>(across == 2 ? (total + 2) >> 2
+                                                        : std::lrintf(static_cast<float>(total) * share));
+    }
+}
+
+void all_of_columns(const uint8_t* all, int width, int scale, uint8_t* out) {
+  for (int x = 0; x < width; ++x, all += scale) {
+    uint8_t every = all[0];
+    for (int i = 1; i < scale; ++i) every &= all[i];
+    out[x] = every;
+  }
+}
+
+}  // namespace
+
+void averaged(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static, int scale,
+              int small_height, int small_width, uint8_t* small, uint8_t* small_static) {
+  const int across = small_width * scale;
+  const auto mean = scale == 2 ? mean_of_columns<2> : scale == 4 ? mean_of_columns<4> : mean_of_columns<0>;
+#pragma omp parallel
+  {
+    std::vector<uint16_t> sum(3 * static_cast<size_t>(across));
+    std::vector<uint8_t> all(across);
+#pragma omp for schedule(static)
+    for (int row = 0; row < views * small_height; ++row) {
+      const size_t from = static_cast<size_t>(row / small_height) * height + row % small_height * scale;
+      std::fill(sum.begin(), sum.end(), uint16_t{0});
+      std::fill(all.begin(), all.end(), uint8_t{1});
+      for (int j = 0; j < scale; ++j) {
+        add_row(colour + 3 * (from + j) * width, 3 * across, sum.data());
+        keep_row(is_static + (from + j) * width, across, all.data());
+      }
+      const size_t to = static_cast<size_t>(row) * small_width;
+      mean(sum.data(), small_width, scale, small + 3 * to);
+      all_of_columns(all.data(), small_width, scale, small_static + to);
+    }
+  }
+}
+
+}  // namespace seepast
