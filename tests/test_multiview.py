@@ -17,7 +17,7 @@ from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.frames import Frame
 from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
 from seepast.pipeline import Clock
-from seepast.surfaces import static_span, surfaces
+from seepast.surfaces import looks, static_span, surfaces
 
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
@@ -408,8 +408,18 @@ def test_planes_straighten_slants():
 
 def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
-    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, options, cpu)
+    scale = looks(scene.geometry, options)[0]
+    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, scale, options, cpu)
     return static_span(seen, scene.dynamic <= 127, scene.geometry, options, cpu)
+
+
+@pytest.mark.parametrize(
+    ("size", "scales"), [((720, 540), [4, 2]), ((430, 370), [2, 1]), ((200, 99), [1]), ((720, 1), [1])]
+)
+def test_the_first_look_is_the_coarser_one(size, scales):
+    geometry = replace(case("5, step").geometry, size=size)
+    assert looks(geometry, Options.preset("accurate")) == scales
+    assert looks(geometry, Options.preset("fast")) == scales[:1]
 
 
 def test_span_of_the_static_scene():

@@ -22,7 +22,7 @@ from .levels import Level, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
-from .surfaces import static_span, surfaces
+from .surfaces import looks, static_span, surfaces
 
 if TYPE_CHECKING:
     from .pipeline import Clock
@@ -43,15 +43,18 @@ def see_past(
     o, r = options.multiview, geometry.reference
     colour = backend.three_channels(frame.colour)
 
-    with clock("surfaces"):  # what every camera sees, people included, at a coarse look
-        seen = surfaces(colour, geometry, options, backend)
-    dynamic = frame.dynamic
-    if options.people.enabled:
-        people = backends.people(backend)
+    dynamic, people = frame.dynamic, backends.people(backend)
+    for scale in looks(geometry, options):
+        with clock("surfaces"):  # what every camera sees, people included, at a coarse look
+            seen = surfaces(colour, geometry, scale, options, backend)
+        with clock("people"):  # exact masks need no closer look
+            exact = not options.people.enabled or trusted(dynamic, seen, geometry, options.people, people)
+        if exact:
+            break
+    if not exact:
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
-            if not trusted(frame.dynamic, seen, geometry, options.people, people):
-                whole = seen.at_full_size(dynamic.shape[1:], backend)
-                dynamic = refine_people(frame, whole, geometry, options.people, people)
+            whole = seen.at_full_size(dynamic.shape[1:], backend)
+            dynamic = refine_people(frame, whole, geometry, options.people, people)
     static = dynamic <= 254 * (1 - o.threshold)
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options, backend)

@@ -185,6 +185,7 @@ class PeopleOptions(StageOptions):
 
     enabled: bool = option(True, "", None, None, "the many-view method refines the masks before it uses them")
     surface_width: int = option(500, "px", 32, 4096, "surfaces are found on views halved until they are no wider")
+    first_width: int = option(250, "px", 32, 4096, "but first on views of no more, which is enough for exact masks")
     working_width: int = option(400, "px", 32, 4096, "object-level steps look at about that many pixels of a row")
     same_surface: float = option(2.0, "px", 0, 64, "views whose disparities differ by less see the same surface")
     trusted: float = option(0.05, "", 0, 1, "masks that disagree less between views are taken as they are")

@@ -34,9 +34,14 @@ class Surfaces:
         return backend.enlarged(self.disparity, self.scale, shape).astype(np.float32) * np.float32(self.scale / UNITS)
 
 
-def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, backend: ModuleType) -> Surfaces:
-    """Semi-global matching of every view without any mask, through the whole range; colour uint8 [K, H, W, 3]."""
-    o, scale = options.multiview, coarseness(geometry, options)
+def surfaces(
+    colour: np.ndarray, geometry: ArrayGeometry, scale: int, options: Options, backend: ModuleType
+) -> Surfaces:
+    """Semi-global matching of every view reduced `scale` times, without any mask, through the whole range.
+
+    colour  uint8 [K, H, W, 3]
+    """
+    o = options.multiview
     level = Level.of(colour, np.ones_like(colour[..., 0], bool), geometry, scale, backend)
     low, *_, high = search_range(geometry, options).values
     candidates = [backend.everything(level_grid((low, high), scale, 1.0), level.static.shape[1:])] * geometry.cameras
@@ -48,12 +53,20 @@ def surfaces(colour: np.ndarray, geometry: ArrayGeometry, options: Options, back
     return Surfaces(scale, found, agree)
 
 
-def coarseness(geometry: ArrayGeometry, options: Options) -> int:
-    """How often views are reduced for the coarse look: the masks want more of it than the range does."""
-    (width, height), scale = geometry.size, 1
-    if not options.people.enabled:
-        return max(1, min(options.multiview.range_scale, width // 64, height))
-    while width // scale > options.people.surface_width and 2 * scale <= height:
+def looks(geometry: ArrayGeometry, options: Options) -> list[int]:
+    """How often views are reduced for the look at all surfaces. The masks want more of it than the range does: the
+    first look tells whether they are exact, which spares the closer one."""
+    (width, height), o = geometry.size, options.people
+    if not o.enabled:
+        return [max(1, min(options.multiview.range_scale, width // 64, height))]
+    first, close = (_halved(width, height, most) for most in (min(o.first_width, o.surface_width), o.surface_width))
+    return [first, close] if first != close else [close]
+
+
+def _halved(width: int, height: int, most: int) -> int:
+    """How often, in powers of two, until views are at most that wide."""
+    scale = 1
+    while width // scale > most and 2 * scale <= height:
         scale *= 2
     return scale
 
