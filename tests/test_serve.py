@@ -190,10 +190,11 @@ def test_cameras_of_another_process_are_seen_through(
 
     ticks = HZ * SECONDS
     # best effort: a machine that is busy with other things may lose some before anybody here sees them
-    assert ticks * 0.5 <= report["images"] / (2 * CAMERAS) <= ticks
+    heard_ticks = report["images"] / (2 * CAMERAS)
+    assert ticks * 0.5 <= heard_ticks <= ticks
     assert report["frames"] <= ticks * 3 // 4, "frames without the lost images of cam3"
     lost = report["images_dropped"]["/cam3/image_raw had nothing within 5 ms of them"]
-    assert 0.3 * (2 * CAMERAS - 1) * ticks / 4 <= lost <= (2 * CAMERAS - 1) * ticks / 4
+    assert 0.5 * (2 * CAMERAS - 1) * heard_ticks / 4 <= lost <= (2 * CAMERAS - 1) * ticks / 4
     assert report["published"] + sum(report["frames_dropped"].values()) + 1 >= report["frames"]
     assert report["published"] >= 5 and 0 < report["latency_ms"][0] <= report["latency_ms"][1]
     assert report["latency_ms"][0] <= report["age_ms"][0] + 1, "stamps are older than what has arrived"
