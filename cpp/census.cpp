@@ -29,46 +29,40 @@ struct Neighbourhood {
 };
 constexpr Neighbourhood kAround;
 
-// Takes BGR apart, less 128, and luma in 16 bits.
+// Takes BGR apart, and luma in 16 bits.
 SEEPAST_CLONES
-void split_row(const uint8_t* __restrict pixels, int width, const int32_t* luma, int16_t* __restrict b,
-               int16_t* __restrict g, int16_t* __restrict r, int32_t* __restrict bright) {
-  const int lb = luma[0], lg = luma[1], lr = luma[2];
+void split_row(const uint8_t* __restrict pixels, int width, const int32_t* luma, uint8_t* __restrict b,
+               uint8_t* __restrict g, uint8_t* __restrict r, uint16_t* __restrict bright) {
+  const uint16_t lb = static_cast<uint16_t>(luma[0]), lg = static_cast<uint16_t>(luma[1]),
+                 lr = static_cast<uint16_t>(luma[2]);
   for (int x = 0; x < width; ++x) {
-    const int pb = pixels[3 * x], pg = pixels[3 * x + 1], pr = pixels[3 * x + 2];
-    b[x] = static_cast<int16_t>(pb - 128);
-    g[x] = static_cast<int16_t>(pg - 128);
-    r[x] = static_cast<int16_t>(pr - 128);
-    bright[x] = lb * pb + lg * pg + lr * pr;
+    const uint8_t pb = pixels[3 * x], pg = pixels[3 * x + 1], pr = pixels[3 * x + 2];
+    b[x] = pb, g[x] = pg, r[x] = pr;
+    bright[x] = static_cast<uint16_t>(lb * pb + lg * pg + lr * pr);
   }
 }
 
+// The entries beside a row of luma or colours are as those at its ends.
 template <class T>
-void extend_edges(T* padded, int width) {
-  padded[0] = padded[1];
-  padded[width + 1] = padded[width + 2] = padded[width];
+void extend_edges(T* row, int width) {
+  row[-1] = row[0];
+  row[width] = row[width + 1] = row[width - 1];
 }
 
-// Cubic samples of one channel. Less 128, the weighted sum is below 152 * 128 and fits 16 bits.
+// Cubic samples half way to the next pixel (Keys 1981, A = -1/2).
 SEEPAST_CLONES
-void sample_row(const int16_t* __restrict in, int width, const int32_t* weights, uint8_t* __restrict out) {
-  const int16_t w0 = static_cast<int16_t>(weights[0]), w1 = static_cast<int16_t>(weights[1]),
-                w2 = static_cast<int16_t>(weights[2]), w3 = static_cast<int16_t>(weights[3]);
+void half_way(const uint8_t* __restrict in, int width, uint8_t* __restrict out) {
   for (int x = 0; x < width; ++x) {
-    const int16_t sum =
-        static_cast<int16_t>(w0 * in[x] + w1 * in[x + 1] + w2 * in[x + 2] + w3 * in[x + 3] + 64);
-    const int16_t sample = static_cast<int16_t>(sum >> 7);
-    const int16_t low = sample > -128 ? sample : int16_t{-128};
-    const int16_t cut = low < 127 ? low : int16_t{127};
-    out[x] = static_cast<uint8_t>(cut + 128);
+    const int16_t sum = static_cast<int16_t>(9 * (in[x] + in[x + 1]) - (in[x - 1] + in[x + 2]) + 8);
+    const int16_t sample = static_cast<int16_t>(sum >> 4), low = sample > 0 ? sample : int16_t{0};
+    out[x] = static_cast<uint8_t>(low < 255 ? low : int16_t{255});
   }
 }
 
 SEEPAST_CLONES
-void sample_luma(const int32_t* __restrict in, int width, const int32_t* weights, uint16_t* __restrict out) {
-  const int w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3];
+void half_way(const uint16_t* __restrict in, int width, uint16_t* __restrict out) {
   for (int x = 0; x < width; ++x) {
-    const int sample = (w0 * in[x] + w1 * in[x + 1] + w2 * in[x + 2] + w3 * in[x + 3] + 64) >> 7;
+    const int sample = (9 * (in[x] + in[x + 1]) - (in[x - 1] + in[x + 2]) + 8) >> 4;
     out[x] = static_cast<uint16_t>(std::clamp(sample, 0, 65535));
   }
 }
@@ -117,23 +111,21 @@ void gather_bits(const uint8_t* const* around, int width, uint8_t* __restrict ou
   }
 }
 
-// Bit per column that is not static or has a neighbour that is not; `valid` are three planes and the static
-// one.
+// Bit i of out is flags[i] & 1.
+inline void pack_bits(const uint8_t* flags, int count, uint8_t* out) {
+  for (int x = 0; x < count; x += 8) {
+    uint64_t eight;
+    std::memcpy(&eight, flags + x, 8);
+    out[x / 8] = static_cast<uint8_t>((eight & 0x0101010101010101ull) * 0x0102040810204080ull >> 56);
+  }
+}
+
+// What is not static, or lacks a valid bit: 1. `valid` are three planes and the static one.
 SEEPAST_CLONES
-void mark_unclear(const uint8_t* valid, int stride, uint8_t* __restrict flags, uint64_t* __restrict out) {
+void find_unclear(const uint8_t* valid, int stride, uint8_t* __restrict unclear) {
   const uint8_t *v0 = valid, *v1 = v0 + stride, *v2 = v1 + stride, *is_static = v2 + stride;
   for (int x = 0; x < stride; ++x)
-    flags[x] = (v0[x] & v1[x] & v2[x] & static_cast<uint8_t>(-is_static[x])) == 255 ? 0 : 1;
-  for (int x = 0; x < stride; x += 64) {
-    uint64_t bits = 0;
-    for (int i = 0; i < 8; ++i) {
-      uint64_t eight;
-      std::memcpy(&eight, flags + x + 8 * i, 8);
-      bits |= (eight * 0x0102040810204080ull >> 56) << (8 * i);
-    }
-    out[x / 64] = bits;
-  }
-  out[stride / 64] = ~uint64_t{0};
+    unclear[x] = (v0[x] & v1[x] & v2[x] & static_cast<uint8_t>(-is_static[x])) == 255 ? 0 : 1;
 }
 
 }  // namespace
@@ -143,10 +135,8 @@ Describer::Describer(const DescribedView& view, FeatureRing& ring, int camera)
       ring(ring),
       camera(camera),
       line((view.width + kBlock - 1) / kBlock * kBlock + 2 * kMargin),
-      luma(static_cast<size_t>(kRows) * 4 * line),
-      is_static(static_cast<size_t>(kRows) * 2 * line),
-      channels(3 * static_cast<size_t>(view.width + 3)),
-      bright(view.width + 3),
+      luma(static_cast<size_t>(kRows) * kPhases * line),
+      is_static(static_cast<size_t>(kRows) * kPhases * line),
       flags(ring.stride) {}
 
 void Describer::describe(int from, int to) {
@@ -157,36 +147,39 @@ void Describer::describe(int from, int to) {
   }
   for (; next < to; ++next) {
     for (; sampled <= next + kReach; ++sampled) sample(sampled);
-    for (int phase = 0; phase < 4; ++phase) census_row(next, phase);
-    for (int phase = 0; phase < 2; ++phase) valid_row(next, phase);
+    for (int phase = 0; phase < kPhases; ++phase) {
+      census_row(next, phase);
+      valid_row(next, phase);
+    }
   }
 }
 
 uint16_t* Describer::luma_row(int y, int phase) {
-  return luma.data() + (static_cast<size_t>(y & (kRows - 1)) * 4 + phase) * line + kMargin;
+  return luma.data() + (static_cast<size_t>(y & (kRows - 1)) * kPhases + phase) * line + kMargin;
 }
 
 uint8_t* Describer::static_row(int y, int phase) {
-  return is_static.data() + (static_cast<size_t>(y & (kRows - 1)) * 2 + phase) * line + kMargin;
+  return is_static.data() + (static_cast<size_t>(y & (kRows - 1)) * kPhases + phase) * line + kMargin;
 }
 
 void Describer::sample(int y) {
   const int width = view.width;
   if (y < 0 || y >= view.height) {
-    for (int phase = 0; phase < 4; ++phase) std::fill_n(luma_row(y, phase), width, uint16_t{0});
-    for (int phase = 0; phase < 2; ++phase) std::fill_n(static_row(y, phase), width, uint8_t{0});
+    for (int phase = 0; phase < kPhases; ++phase) {
+      std::fill_n(luma_row(y, phase), width, uint16_t{0});
+      std::fill_n(static_row(y, phase), width, uint8_t{0});
+    }
     return;
   }
-  int16_t* lines[3] = {channels.data(), channels.data() + width + 3, channels.data() + 2 * (width + 3)};
-  split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, lines[0] + 1, lines[1] + 1,
-            lines[2] + 1, bright.data() + 1);
-  extend_edges(bright.data(), width);
-  for (int phase = 0; phase < 4; ++phase)
-    sample_luma(bright.data(), width, view.cubic + 4 * phase, luma_row(y, phase));
-  for (int c = 0; c < 3; ++c) {
-    extend_edges(lines[c], width);
-    for (int phase = 0; phase < 4; ++phase)
-      sample_row(lines[c], width, view.cubic + 4 * phase, plane(y, plane_colour(phase) + c));
+  uint8_t *const blue = plane(y, plane_colour(0)), *const green = blue + ring.stride,
+                 *const red = green + ring.stride;
+  uint16_t *const bright = luma_row(y, 0);
+  split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, blue, green, red, bright);
+  extend_edges(bright, width);  // outside the image luma and colours may be anything
+  half_way(bright, width, luma_row(y, 1));
+  for (uint8_t* channel : {blue, green, red}) {
+    extend_edges(channel, width);
+    half_way(channel, width, channel + kPlanesOfPhase * static_cast<size_t>(ring.stride));
   }
   const uint8_t* here = view.is_static + static_cast<size_t>(y) * width;
   uint8_t *whole = static_row(y, 0), *between = static_row(y, 1);
@@ -227,7 +220,11 @@ void Describer::valid_row(int y, int phase) {
     gather_bits(around, view.width, plane(y, plane_valid(phase) + byte));
   }
   std::memcpy(plane(y, plane_static(phase)), static_row(y, phase), view.width);
-  mark_unclear(planes, ring.stride, flags.data(), ring.row(camera, y).unclear + phase * ring.words);
+  const FeatureRow row = ring.row(camera, y);
+  const size_t bits = static_cast<size_t>(phase) * bit_stride(ring.stride);
+  pack_bits(planes + kBytes * static_cast<size_t>(ring.stride), ring.stride, row.seen + bits);
+  find_unclear(planes, ring.stride, flags.data());
+  pack_bits(flags.data(), ring.stride, row.unclear + bits);
 }
 
 uint8_t* Describer::plane(int y, int number) const {

@@ -2,6 +2,7 @@
 // that they are still in its cache when they are matched.
 #pragma once
 
+#include <algorithm>
 #include <vector>
 
 #include "multiview.h"
@@ -10,40 +11,52 @@ namespace seepast {
 
 // What matching reads of a row of one camera: kPlanes rows of `stride` bytes, column x at x + kBlock. The 24
 // bits of census and valid are three planes each. Outside the image nothing is valid or static and the rest
-// is not set. Phase p is the sample at x + p / 4.
+// is not set. Phase p is the sample at x + p / 2.
+constexpr int kPhases = 2;
 constexpr int kBytes = 3;
-constexpr int plane_census(int phase) { return 2 * kBytes * phase; }
+constexpr int kPlanesOfPhase = 3 * kBytes + 1;
+constexpr int plane_census(int phase) { return kPlanesOfPhase * phase; }
 constexpr int plane_colour(int phase) { return plane_census(phase) + kBytes; }
-constexpr int plane_valid(int phase) { return 8 * kBytes + (phase ? kBytes + 1 : 0); }
+constexpr int plane_valid(int phase) { return plane_census(phase) + 2 * kBytes; }
 constexpr int plane_static(int phase) { return plane_valid(phase) + kBytes; }
-constexpr int kPlanes = 10 * kBytes + 2;
+constexpr int kPlanes = kPhases * kPlanesOfPhase;
 
 constexpr int feature_stride(int width) { return (width + kBlock - 1) / kBlock * kBlock + 2 * kBlock; }
 
+// Bits per column, [kPhases, bit_stride(stride)] bytes each: four bytes may be read from any column's on.
+constexpr int bit_stride(int stride) { return stride / 8 + 8; }
 struct FeatureRow {
-  uint8_t* planes;  // [kPlanes, stride]
-  uint64_t*
-      unclear;  // [2, words]: bit per column that is not static or lacks a valid bit, whole and fractional
+  uint8_t* planes;   // [kPlanes, stride]
+  uint8_t* unclear;  // not static, or lacks a valid bit
+  uint8_t* seen;     // static
 };
 
-// The last `slots` rows of every camera.
+// The last `slots` rows of every camera, and one that lies outside every image.
 struct FeatureRing {
   FeatureRing(int cameras, int width, int rows)
       : cameras(cameras),
         stride(feature_stride(width)),
-        words(stride / 64 + 1),
         slots(rows),
-        planes(static_cast<size_t>(cameras) * slots * kPlanes * stride),
-        unclear(static_cast<size_t>(cameras) * slots * 2 * words) {}
-
-  FeatureRow row(int camera, int y) {
-    const size_t slot = static_cast<size_t>(camera) * slots + static_cast<size_t>(y + slots) % slots;
-    return {planes.data() + slot * kPlanes * stride, unclear.data() + slot * 2 * words};
+        planes((static_cast<size_t>(cameras) * slots + 1) * kPlanes * stride),
+        bits((static_cast<size_t>(cameras) * slots + 1) * 2 * kPhases * bit_stride(stride)) {
+    std::fill_n(outside().unclear, kPhases * bit_stride(stride), uint8_t{255});
   }
 
-  int cameras, stride, words, slots;
-  std::vector<uint8_t> planes;
-  std::vector<uint64_t> unclear;
+  FeatureRow row(int camera, int y) {
+    return at(static_cast<size_t>(camera) * slots + static_cast<size_t>(y + slots) % slots);
+  }
+  FeatureRow outside() { return at(static_cast<size_t>(cameras) * slots); }
+
+  int cameras, stride, slots;
+
+ private:
+  FeatureRow at(size_t slot) {
+    const size_t flags = static_cast<size_t>(kPhases) * bit_stride(stride);
+    uint8_t* const unclear = bits.data() + 2 * slot * flags;
+    return {planes.data() + slot * kPlanes * stride, unclear, unclear + flags};
+  }
+
+  std::vector<uint8_t> planes, bits;
 };
 
 // One camera's picture.
@@ -51,7 +64,6 @@ struct DescribedView {
   int height, width;
   const uint8_t* colour;     // [H, W, 3]
   const uint8_t* is_static;  // [H, W]
-  const int32_t* cubic;      // [4, 4] in 128ths
   const int32_t* luma;       // [3] in 256ths
 };
 
@@ -82,10 +94,8 @@ class Describer {
   const bool wide = simd() >= Simd::avx512;
   int next = 0, sampled = -kReach;  // rows that come next: to describe, to sample
   size_t line;
-  std::vector<uint16_t> luma;      // [kRows, 4, line]
-  std::vector<uint8_t> is_static;  // [kRows, 2, line]
-  std::vector<int16_t> channels;
-  std::vector<int32_t> bright;
+  std::vector<uint16_t> luma;      // [kRows, kPhases, line]
+  std::vector<uint8_t> is_static;  // [kRows, kPhases, line]
   std::vector<uint8_t> flags;
 };
 

@@ -10,7 +10,7 @@ namespace seepast {
 constexpr int kUnits = 32;        // disparities of views: uint16 in 32nds of a pixel over the array
 constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
-constexpr int kBlock = 64;  // columns that are matched together, and empty columns on either side of a row
+constexpr int kBlock = 64;        // pixels that are matched together, and empty columns on either side of a row
 
 // What of the grid every pixel is matched at (candidates.py Candidates).
 constexpr int kChunk = 16;
@@ -51,10 +51,9 @@ struct MatchedView {
   Pairs with_own, others;  // with the view's own ray, and without
   uint8_t* out;            // [n, kChunk]
 };
-// colour uint8 [K, H, W, 3]; is_static uint8 [K, H, W]; cubic int32 [4, 4] in 128ths; luma int32 [3] in
-// 256ths.
+// colour uint8 [K, H, W, 3]; is_static uint8 [K, H, W]; luma int32 [3] in 256ths.
 void volumes(const MatchedView* views, int count, const uint8_t* colour, const uint8_t* is_static,
-             const int32_t* cubic, const int32_t* luma, const Grid& grid, const PairCostParams& params);
+             const int32_t* luma, const Grid& grid, const PairCostParams& params);
 
 struct Penalties {
   int small;

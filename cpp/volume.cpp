@@ -1,8 +1,9 @@
 // Stage "volume" of the many-view method, of all views at once: while the rows that they share are in the
-// cache. Runs block by block of columns and candidate by candidate, not pixel by pixel: at one candidate a
-// block of a camera is read with one constant shift, so that everything vectorises, in bytes; the costs of a
-// chunk of candidates are then transposed into [x][d] for the pixels that want them. Here is what does not
-// depend on the instructions; volume_rows.h has the rest.
+// cache. Runs tile by tile, of 32 columns and two rows, and candidate by candidate, not pixel by pixel: at one
+// candidate a tile of a camera is read with one constant shift, so that everything vectorises, in bytes; the
+// costs of a chunk of candidates are then transposed into [x][d] for the pixels that want them. Tiles are that
+// small because what is asked for of a view often is in small pieces. Here is what does not depend on the
+// instructions; volume_rows.h has the rest.
 #include <algorithm>
 #include <cstring>
 #if defined(__x86_64__)
@@ -18,30 +19,35 @@ namespace seepast {
 namespace {
 
 constexpr int kMaxPairs = 64;
-constexpr int kStrip = 32;  // rows that a thread matches one after the other
+constexpr int kStrip = 32;    // rows that a thread matches one after the other
+constexpr int kColumns = 32;  // of a tile
+constexpr int kTileRows = kBlock / kColumns;
 
 inline int least(int a, int b) { return a < b ? a : b; }
 
-// Where a block of one camera is read at one candidate.
-struct Block {
-  const uint8_t* at;     // its census planes and colours; null: no ray of this block exists
-  const uint8_t* valid;  // its valid planes and static flags
-  size_t stride;         // from plane to plane
-  bool clear;            // every neighbour of every sample is static
-  bool blind;            // no sample is
+// Where a tile of one camera is read at one candidate: column i of row j at [j] + i.
+struct Tile {
+  const uint8_t* at[kTileRows];     // its census planes and colours
+  const uint8_t* valid[kTileRows];  // its valid planes and static flags
+  size_t stride;                    // from plane to plane
+  bool clear;                       // every neighbour of every sample is static
+  bool blind;                       // no sample is
 };
 
-// Where a camera is read for a block of columns: what its rows of planes begin with there.
+// Where a camera is read for a row of a tile: at a column of the planes of a phase. Outside the image: -1.
 struct Place {
-  int32_t at, valid;   // as Block, from the row's first plane on; at -1: outside the image
-  int16_t word, skip;  // of the row's `unclear`, and the bits before the block's
+  int16_t column, phase;
+  bool operator==(const Place&) const = default;
 };
-constexpr Place kNowhere{-1, 0, 0, 0};
+constexpr Place kNowhere{-1, 0};
 
-// Columns [from, to) of a block that are read with the same shifts at a candidate.
+// Columns [from, to) of a tile that are read with the same shifts at a candidate.
 struct Run {
   int from, to, candidate;
-  uint64_t columns() const { return ~uint64_t{0} << from & ~uint64_t{0} >> (kBlock - to); }
+  uint64_t lanes() const {
+    const uint64_t row = (~uint64_t{0} >> (64 - to)) & (~uint64_t{0} << from);
+    return row | row << kColumns;
+  }
 };
 
 // Where the columns of every camera are read at every candidate: the same for all rows.
@@ -49,10 +55,10 @@ struct Columns {
   Columns(const Array& array, const Grid& grid)
       : cameras(array.cameras),
         stride(feature_stride(array.width)),
-        blocks((array.width + kBlock - 1) / kBlock),
-        runs(blocks),
-        places(blocks),
-        starts(blocks) {
+        tiles((array.width + kColumns - 1) / kColumns),
+        runs(tiles),
+        places(tiles),
+        starts(tiles) {
     for (int i = 0; i < grid.count; ++i)
       for (int k = 0; k < cameras; ++k) {
         shifts.push_back(array.shift(k, grid.value(i)));
@@ -60,48 +66,46 @@ struct Columns {
             view.push_back(shifts.back().view_y);
       }
 #pragma omp parallel for schedule(static)
-    for (int b = 0; b < blocks; ++b) fill(array, grid.count, b);
+    for (int t = 0; t < tiles; ++t) fill(array, grid.count, t);
   }
 
-  void fill(const Array& array, int count, int b) {
-    const int from = b * kBlock, to = std::min(from + kBlock, array.width);
+  void fill(const Array& array, int count, int t) {
+    const int from = t * kColumns, to = std::min(from + kColumns, array.width);
     for (int i = 0; i < count; ++i) {
-      starts[b].push_back(static_cast<int32_t>(runs[b].size()));
+      starts[t].push_back(static_cast<int32_t>(runs[t].size()));
       for (int first = from; first < to;) {
         int last = to;
         for (int k = 0; k < cameras; ++k)
-          places[b].push_back(
+          places[t].push_back(
               place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
-        runs[b].push_back({first - from, last - from, i});
+        runs[t].push_back({first - from, last - from, i});
         first = last;
       }
     }
-    starts[b].push_back(static_cast<int32_t>(runs[b].size()));
+    starts[t].push_back(static_cast<int32_t>(runs[t].size()));
   }
 
-  // Where the block that starts at `from` is read for column `first`; cuts `last` to the columns that have
-  // its shift.
+  // Where the tile that starts at `from` is read for column `first`; cuts `last` to the columns that have its
+  // shift.
   Place place_of(const Array& array, const RayShift& shift, int from, int first, int& last) const {
-    int quarter = 0, end = last;
+    int halves = 0, end = last;
     for_each_run(
-        first, last, [&](int x) { return quarter_offset(ray_dx(shift, x, array.cx)); },
+        first, last, [&](int x) { return half_offset(ray_dx(shift, x, array.cx)); },
         [&](int run, int to, int found) {
-          if (run == first) end = to, quarter = found;
+          if (run == first) end = to, halves = found;
         });
     last = end;
-    const int column = (quarter >> 2) + from + kBlock, phase = quarter & 3;
-    if (column < 0 || column > stride - kBlock) return kNowhere;
-    return {plane_census(phase) * stride + column, plane_valid(phase) * stride + column,
-            static_cast<int16_t>((phase ? stride / 64 + 1 : 0) + column / 64),
-            static_cast<int16_t>(column % 64)};
+    const int column = (halves >> 1) + from + kBlock;
+    if (column < 0 || column > stride - kColumns) return kNowhere;
+    return {static_cast<int16_t>(column), static_cast<int16_t>(halves & 1)};
   }
 
-  int cameras, stride, blocks;
+  int cameras, stride, tiles;
   std::vector<RayShift> shifts;              // [candidate][camera]
   std::vector<float> zoom, down, view;       // theirs, of rows
-  std::vector<std::vector<Run>> runs;        // [block][run]
-  std::vector<std::vector<Place>> places;    // [block][run * cameras + camera]
-  std::vector<std::vector<int32_t>> starts;  // [block][candidate]: its first run
+  std::vector<std::vector<Run>> runs;        // [tile][run]
+  std::vector<std::vector<Place>> places;    // [tile][run * cameras + camera]
+  std::vector<std::vector<int32_t>> starts;  // [tile][candidate]: its first run
 };
 
 // How many rows below row y rays land at every candidate; `height` rows below or above it is outside in any
@@ -121,9 +125,9 @@ struct Volume {
   const PairCostParams& params;
 
   const Array& array() const { return view.array; }
-  bool wants(int y) const {
+  bool wants(int from, int to) const {  // of these rows
     const size_t width = view.array.width;
-    return view.chunks.start[width * y] != view.chunks.start[width * (y + 1)];
+    return view.chunks.start[width * from] != view.chunks.start[width * to];
   }
 };
 
@@ -132,7 +136,7 @@ struct Drop {
   int least = 0, most = 0;
 };
 
-// The rows of all cameras around the one that is matched, as far as rays drop; null outside the image.
+// The rows of all cameras around those that are matched, as far as rays drop from the first of them.
 struct Rows {
   const FeatureRow& at(int camera, int drop) const {
     return list[static_cast<size_t>(drop - reach.least) * cameras + camera];
@@ -140,6 +144,7 @@ struct Rows {
 
   const Drop reach;
   int cameras;
+  FeatureRow outside;            // every image
   std::vector<FeatureRow> list;  // [drop][camera]
 };
 
@@ -179,28 +184,30 @@ struct Matcher {
   Matcher(const std::vector<Volume>& volumes, const std::vector<DescribedView>& described, const Drop& drop)
       : volumes(volumes),
         ring(static_cast<int>(described.size()), described[0].width,
-             std::min(drop.most - drop.least + 1, described[0].height) + Describer::kReach + 1),
-        rows{drop, ring.cameras, {}} {
+             std::min(drop.most - drop.least + kTileRows, described[0].height) + Describer::kReach + 1),
+        rows{drop, ring.cameras, ring.outside(), {}} {
     for (size_t k = 0; k < described.size(); ++k)
       describers.emplace_back(described[k], ring, static_cast<int>(k));
     for (const Volume& volume : volumes) matchers.push_back(std::make_unique<RowMatcher>(volume, rows));
   }
 
-  void match_row(int y) {
-    const auto wants = [y](const Volume& volume) { return volume.wants(y); };
+  // Rows [y, end), at most kTileRows.
+  void match_rows(int y, int end) {
+    const auto wants = [&](const Volume& volume) { return volume.wants(y, end); };
     if (std::none_of(volumes.begin(), volumes.end(), wants)) return;
     const int height = volumes[0].array().height;
     const auto [least, most] = rows.reach;
     for (Describer& describer : describers)
-      describer.describe(std::max(0, y + least), std::min(height, y + most + 1));
+      describer.describe(std::max(0, y + least), std::min(height, end + most));
     rows.list.clear();
-    for (int to = y + least; to <= y + most; ++to)
+    for (int to = y + least; to < y + kTileRows + most; ++to)
       for (int k = 0; k < ring.cameras; ++k)
-        rows.list.push_back(to >= 0 && to < height ? ring.row(k, to) : FeatureRow{nullptr, nullptr});
+        rows.list.push_back(to >= 0 && to < std::min(height, end + most) ? ring.row(k, to) : rows.outside);
     for (size_t i = 0; i < volumes.size(); ++i)
       if (wants(volumes[i])) {
-        drops_at(y, volumes[i].array().cy, height, volumes[i].columns, matchers[i]->drops.data());
-        matchers[i]->match_row(y);
+        for (int j = 0; j < kTileRows; ++j)
+          drops_at(y + j, volumes[i].array().cy, height, volumes[i].columns, matchers[i]->drops[j].data());
+        matchers[i]->match_rows(y, end);
       }
   }
 
@@ -220,7 +227,8 @@ void match_rows(const std::vector<Volume>& volumes, const std::vector<DescribedV
     Matcher<RowMatcher> matcher(volumes, described, drop);
 #pragma omp for schedule(dynamic, 1)
     for (int strip = 0; strip < (height + kStrip - 1) / kStrip; ++strip)
-      for (int y = kStrip * strip; y < std::min(height, kStrip * (strip + 1)); ++y) matcher.match_row(y);
+      for (int y = kStrip * strip; y < std::min(height, kStrip * (strip + 1)); y += kTileRows)
+        matcher.match_rows(y, std::min(height, y + kTileRows));
   }
 }
 
@@ -241,14 +249,14 @@ Drop drop_of(const std::vector<Volume>& volumes) {
 }  // namespace
 
 void volumes(const MatchedView* views, int count, const uint8_t* colour, const uint8_t* is_static,
-             const int32_t* cubic, const int32_t* luma, const Grid& grid, const PairCostParams& params) {
+             const int32_t* luma, const Grid& grid, const PairCostParams& params) {
   std::vector<Volume> all;
   for (int i = 0; i < count; ++i) all.push_back({views[i], Columns(views[i].array, grid), params});
   const Array& array = views[0].array;
   std::vector<DescribedView> described;
   for (int k = 0; k < array.cameras; ++k)
     described.push_back({array.height, array.width, colour + 3 * k * array.pixels(),
-                         is_static + k * array.pixels(), cubic, luma});
+                         is_static + k * array.pixels(), luma});
   const Drop drop = drop_of(all);
 #if defined(SEEPAST_V4_BYTES)
   if (simd() == Simd::avx512_bytes) return match_rows<v4_bytes::RowMatcher>(all, described, drop);

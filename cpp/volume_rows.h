@@ -107,26 +107,30 @@ struct Scales {
 };
 #endif
 
-SEEPAST_INLINE Lanes census_of(const Block& b, int i, int x) { return load(b.at + i * b.stride + x); }
-SEEPAST_INLINE Lanes colour_of(const Block& b, int i, int x) {
-  return load(b.at + (kBytes + i) * b.stride + x);
-}
-SEEPAST_INLINE Lanes known_of(const Block& b, int i, int x) { return load(b.valid + i * b.stride + x); }
-SEEPAST_INLINE Lanes static_of(const Block& b, int x) { return load(b.valid + kBytes * b.stride + x); }
-
-// Whether any byte of a block is not 0.
-SEEPAST_INLINE bool any_of(const uint8_t* block) {
-  Lanes sum = load(block);
-  for (int x = kLanes; x < kBlock; x += kLanes) sum |= load(block + x);
+// Pixels x .. x + kLanes of a plane of a tile, `offset` from its first one.
+SEEPAST_INLINE Lanes lanes_of(const uint8_t* const* rows, size_t offset, int x) {
 #if defined(SEEPAST_BYTES_AVX512)
-  return _mm512_test_epi8_mask((__m512i)sum, (__m512i)sum);
+  static_assert(kColumns == 32 && kTileRows == 2);
+  const __m256i first = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(rows[0] + offset)),
+                second = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(rows[1] + offset));
+  return (Lanes)_mm512_inserti64x4(_mm512_castsi256_si512(first), second, 1);
 #else
-  uint64_t words[kLanes / 8], all = 0;
-  std::memcpy(words, &sum, sizeof(sum));
-  for (const uint64_t word : words) all |= word;
-  return all;
+  static_assert(kColumns % kLanes == 0);
+  return load(rows[x / kColumns] + offset + x % kColumns);
 #endif
 }
+SEEPAST_INLINE Lanes known_of(const Tile& t, int i, int x) { return lanes_of(t.valid, i * t.stride, x); }
+SEEPAST_INLINE Lanes static_of(const Tile& t, int x) { return lanes_of(t.valid, kBytes * t.stride, x); }
+
+// What pairs compare of a tile.
+struct Sample {
+  SEEPAST_INLINE Sample(const Tile& t, int x) {
+    for (int i = 0; i < 2 * kBytes; ++i) planes[i] = lanes_of(t.at, i * t.stride, x);
+  }
+  SEEPAST_INLINE Lanes census(int i) const { return planes[i]; }
+  SEEPAST_INLINE Lanes colour(int i) const { return planes[kBytes + i]; }
+  Lanes planes[2 * kBytes];
+};
 
 SEEPAST_INLINE Lanes apart(Lanes a, Lanes b) { return greater(a, b) - lesser(a, b); }
 
@@ -155,200 +159,281 @@ SEEPAST_INLINE Lanes eighths(Lanes a, Lanes b) {
 #endif
 }
 
-// One row of the volume.
+// Two rows of the volume.
 struct RowMatcher {
+  static constexpr int kRuns = 16;  // that are matched together
+  struct Found {                    // of a pair
+    alignas(64) uint8_t costs[kRuns][kBlock];
+    uint8_t at[kRuns];  // where in `costs` those of a run are
+  };
+
   RowMatcher(const Volume& volume, const Rows& rows)
-      : v(volume), rows(rows), scales(volume.params.census_scale), drops(volume.columns.shifts.size()) {}
-
-  // The row that `rows` and `drops` are about.
-  __attribute__((noinline)) void match_row(int y) {
-    for (int b = 0; b < v.columns.blocks; ++b) match_block(y, b);
+      : v(volume), rows(rows), scales(volume.params.census_scale) {
+    for (auto& of_row : drops) of_row.resize(volume.columns.shifts.size());
   }
 
-  Block block_of(const FeatureRow& row, const Place& place) const {
+  // The rows [y, end) that `rows` and `drops` are about.
+  __attribute__((noinline)) void match_rows(int y, int end) {
+    if (end < y + kTileRows) drops[1] = drops[0];  // any: nothing is wanted there
+    for (int t = 0; t < v.columns.tiles; ++t) match_tile(y, end, t);
+  }
+
+  // Where camera k is read, `drop` rows below each of the tile's.
+  SEEPAST_INLINE Tile tile_of(int k, const Place& place, const int32_t (&drop)[kTileRows]) const {
     const size_t stride = v.columns.stride;
-    if (!row.planes || place.at < 0) return {nullptr, nullptr, stride, false, true};
-    const uint64_t* unclear = row.unclear + place.word;
-    const bool clear = !(unclear[0] >> place.skip | unclear[1] << 1 << (63 - place.skip));
-    const uint8_t* valid = row.planes + place.valid;
-    return {row.planes + place.at, valid, stride, clear, !clear && !any_of(valid + kBytes * stride)};
+    Tile tile{};
+    tile.stride = stride;
+    const int column = place.column < 0 ? 0 : place.column;
+    const size_t bits = static_cast<size_t>(place.phase) * bit_stride(v.columns.stride) + column / 8;
+    uint32_t unclear = 0, seen = 0;
+    for (int j = 0; j < kTileRows; ++j) {
+      const FeatureRow& row = place.column < 0 ? rows.outside : rows.at(k, drop[j] + j);
+      tile.at[j] = row.planes + plane_census(place.phase) * stride + column;
+      tile.valid[j] = row.planes + plane_valid(place.phase) * stride + column;
+      unclear |= bits_from(row.unclear + bits, column % 8);
+      seen |= bits_from(row.seen + bits, column % 8);
+    }
+    tile.clear = !unclear, tile.blind = !seen;
+    return tile;
+  }
+  static SEEPAST_INLINE uint32_t bits_from(const uint8_t* at, int skip) {
+    uint64_t bits;
+    std::memcpy(&bits, at, sizeof(bits));
+    return static_cast<uint32_t>(bits >> skip);
   }
 
-  // The chunks that some pixel of a block wants, from the farthest on.
-  void match_block(int y, int b) {
-    const int from = b * kBlock, width = least(kBlock, v.array().width - from);
-    const size_t first = static_cast<size_t>(y) * v.array().width + from;
-    const uint64_t* active = v.view.chunks.active + first;
-    uint64_t any = 0;
-    for (int x = 0; x < width; ++x) any |= active[x];
-    if (!any) return;
-    look_at_own(y, from);
-    uint64_t wants[kMostChunks];  // bit per column
-    for (uint64_t left = any; left; left &= left - 1) wants[__builtin_ctzll(left)] = 0;
-    for (int x = 0; x < width; ++x)
-      for (uint64_t left = active[x]; left; left &= left - 1)
-        wants[__builtin_ctzll(left)] |= uint64_t{1} << x;
+  // The chunks that some pixel of a tile wants, from the farthest on.
+  void match_tile(int y, int end, int t) {
+    const int from = t * kColumns, width = least(kColumns, v.array().width - from);
+    uint64_t active[kBlock] = {}, any = 0;
     int32_t next[kBlock];
-    if (width == kBlock)  // a copy of known size is a few instructions
-      std::memcpy(next, v.view.chunks.start + first, sizeof(next));
-    else
-      std::memcpy(next, v.view.chunks.start + first, sizeof(int32_t) * static_cast<size_t>(width));
+    for (int j = 0; j < end - y; ++j) {
+      const size_t first = static_cast<size_t>(y + j) * v.array().width + from;
+      if (v.view.chunks.start[first] == v.view.chunks.start[first + width]) continue;
+      for (int x = 0; x < width; ++x) {
+        active[j * kColumns + x] = v.view.chunks.active[first + x];
+        next[j * kColumns + x] = v.view.chunks.start[first + x];
+        any |= active[j * kColumns + x];
+      }
+    }
+    if (!any) return;
+    look_at_own(from);
     for (; any; any &= any - 1) {
       const int chunk = __builtin_ctzll(any);
-      fetch(b, chunk);
-      match_chunk(b, chunk, wants[chunk]);
-      put_chunk(wants[chunk], next);
+      const uint64_t wanted = lanes_with(active, chunk);
+      fetch(t, chunk);
+      match_chunk(t, chunk, wanted);
+      put_chunk(wanted, next);
     }
   }
 
-  // Copies the view's own block, which all candidates share.
-  void look_at_own(int y, int from) {
-    const size_t column = static_cast<size_t>(from) + kBlock, stride = v.columns.stride;
-    const Block block =
-        block_of(rows.at(v.view.number, 0),
-                 {static_cast<int32_t>(column), static_cast<int32_t>(plane_valid(0) * stride + column),
-                  static_cast<int16_t>(column / 64), 0});
-    for (int i = 0; i < 2 * kBytes; ++i) std::memcpy(own_planes[i], block.at + i * block.stride, kBlock);
-    for (int i = 0; i <= kBytes; ++i)
-      std::memcpy(own_planes[2 * kBytes + i], block.valid + i * block.stride, kBlock);
-    own = {own_planes[0], own_planes[2 * kBytes], kBlock, block.clear, block.blind};
+  static uint64_t lanes_with(const uint64_t* active, int chunk) {
+    uint64_t lanes = 0;
+#if defined(SEEPAST_BYTES_AVX512)
+    const __m512i bit = _mm512_set1_epi64(static_cast<int64_t>(uint64_t{1} << chunk));
+    for (int x = 0; x < kBlock; x += 8)
+      lanes |= static_cast<uint64_t>(_mm512_test_epi64_mask(_mm512_loadu_si512(active + x), bit)) << x;
+#else
+    for (int x = 0; x < kBlock; ++x) lanes |= (active[x] >> chunk & 1) << x;
+#endif
+    return lanes;
+  }
+
+  // Copies the view's own tile, which all candidates share.
+  void look_at_own(int from) {
+    const int32_t here[kTileRows] = {};
+    const Tile tile = tile_of(v.view.number, {static_cast<int16_t>(from + kBlock), 0}, here);
+    for (int j = 0; j < kTileRows; ++j)
+      for (int i = 0; i < kPlanesOfPhase; ++i)
+        std::memcpy(own_planes[i] + j * kColumns, tile.at[j] + i * tile.stride, kColumns);
+    own = tile;
+    own.stride = kBlock;
+    for (int j = 0; j < kTileRows; ++j) {
+      own.at[j] = own_planes[plane_census(0)] + j * kColumns;
+      own.valid[j] = own_planes[plane_valid(0)] + j * kColumns;
+    }
     seen = 0;
-    for (int x = 0; x < kBlock; ++x) seen |= static_cast<uint64_t>(own_planes[3 * kBytes][x] & 1) << x;
+    const uint8_t* const is_static = own_planes[plane_static(0)];
+    for (int x = 0; x < kBlock; ++x) seen |= static_cast<uint64_t>(is_static[x] & 1) << x;
   }
 
   // Asks for what a chunk will look at, all at once.
-  void fetch(int b, int chunk) const {
+  void fetch(int t, int chunk) const {
     const Columns& columns = v.columns;
     const int cameras = v.array().cameras;
-    const int first = columns.starts[b][kChunk * chunk];
-    const Place* place = columns.places[b].data() + static_cast<size_t>(first) * cameras;
+    const int first = columns.starts[t][kChunk * chunk];
+    const Place* place = columns.places[t].data() + static_cast<size_t>(first) * cameras;
     for (int k = 0; k < cameras; ++k) {
-      const FeatureRow& row = rows.at(k, drops[static_cast<size_t>(kChunk * chunk) * cameras + k]);
-      if (k == v.view.number || !row.planes || place[k].at < 0) continue;
-      const uint8_t* at = row.planes + place[k].at % columns.stride;
-      for (int plane = 0; plane < kPlanes; ++plane, at += columns.stride) {
-        __builtin_prefetch(at);
-        __builtin_prefetch(at + 64);
+      if (k == v.view.number || place[k].column < 0) continue;
+      for (int j = 0; j < kTileRows; ++j) {
+        const int drop = drops[j][static_cast<size_t>(kChunk * chunk) * cameras + k];
+        const uint8_t* at = rows.at(k, drop + j).planes + place[k].column;
+        for (int plane = 0; plane < kPlanes; ++plane, at += columns.stride) __builtin_prefetch(at);
       }
     }
   }
 
-  // The candidates of a chunk for the columns `wanted` of one block into `tile`.
-  void match_chunk(int b, int chunk, uint64_t wanted) {
+  // The candidates of a chunk for the pixels `wanted` of a tile into `costs`.
+  void match_chunk(int t, int chunk, uint64_t wanted) {
     const Columns& columns = v.columns;
-    const int cameras = v.array().cameras;
-    const int32_t* starts = columns.starts[b].data() + kChunk * chunk;
-    const bool one_run = starts[kChunk] - starts[0] == kChunk;  // per candidate
-    const Run* run = columns.runs[b].data() + starts[0];
-    const Place* place = columns.places[b].data() + static_cast<size_t>(starts[0]) * cameras;
-    for (int r = starts[0]; r < starts[kChunk]; ++r, ++run, place += cameras) {
-      const uint64_t theirs = wanted & run->columns();
-      if (!theirs) continue;
-      const size_t first = static_cast<size_t>(run->candidate) * cameras;
-      for (int k = 0; k < cameras; ++k) {
-        const Block block = k == v.view.number ? own : block_of(rows.at(k, drops[first + k]), place[k]);
-        moved[k] = r == starts[0] || !one_run || block.at != blocks[k].at;
-        blocks[k] = block;
-      }
-      uint8_t* to = tile[run->candidate % kChunk];
-      for (int x = 0; x < kBlock; x += kLanes) {
-        const uint64_t here = theirs >> x << (64 - kLanes) >> (64 - kLanes);
-        if (!here) continue;
-        const Lanes cost = cost_of(x, here);
-        if (one_run)
-          store(to + x, cost);
+    const int32_t* starts = columns.starts[t].data() + kChunk * chunk;
+    const Run* runs = columns.runs[t].data();
+    whole = starts[kChunk] - starts[0] == kChunk;  // one run per candidate
+    int count = 0;
+    for (int r = starts[0]; r < starts[kChunk]; ++r) {
+      if (!(wanted & runs[r].lanes())) continue;
+      chosen[count++] = r;
+      if (count == kRuns) match_runs(t, count, wanted), count = 0;
+    }
+    if (count) match_runs(t, count, wanted);
+  }
+
+  // The first `count` of the `chosen` runs.
+  void match_runs(int t, int count, uint64_t wanted) {
+    place_tiles(t, count);
+    for (int x = 0; x < kBlock; x += kLanes) {
+      const uint64_t here = wanted >> x << (64 - kLanes) >> (64 - kLanes), mine = seen >> x & here;
+      if (!here) continue;
+      const uint32_t sure_of_mine = mine ? match_pairs(v.view.with_own, with_own, count, x) : ~0u,
+                     sure_of_theirs = mine != here ? match_pairs(v.view.others, others, count, x) : ~0u;
+      for (int i = 0; i < count; ++i) {
+        const Run& run = v.columns.runs[t][chosen[i]];
+        const bool sure = (sure_of_mine & sure_of_theirs) >> i & 1;
+        const Lanes cost = cost_of(x, i, mine, mine != here, sure);
+        uint8_t* const to = costs[run.candidate % kChunk] + x;
+        if (whole)
+          store(to, cost);
         else
-          store_run(to, x, cost, *run);
+          store_run(to, cost, run.lanes() >> x);
       }
     }
   }
 
-  static void store_run(uint8_t* to, int x, Lanes cost, const Run& run) {
-    const int from = run.from > x ? run.from : x, end = least(run.to, x + kLanes);
-    uint8_t costs[kLanes];
-    store(costs, cost);
-    if (from < end) std::memcpy(to + from, costs + from - x, static_cast<size_t>(end - from));
+  // Where every camera is read for the chosen runs, and from which run on it is read elsewhere.
+  void place_tiles(int t, int count) {
+    const int cameras = v.array().cameras;
+    const Run* runs = v.columns.runs[t].data();
+    for (int k = 0; k < cameras; ++k) {
+      moved[k] = 1, clear[k] = blind[k] = 0;
+      if (k == v.view.number) {
+        tiles[k][0] = own, clear[k] = own.clear ? ~0u : 0, blind[k] = own.blind ? ~0u : 0;
+        continue;
+      }
+      Place last{};
+      int32_t drop[kTileRows] = {};
+      for (int i = 0; i < count; ++i) {
+        const Place place = v.columns.places[t][static_cast<size_t>(chosen[i]) * cameras + k];
+        const size_t at = static_cast<size_t>(runs[chosen[i]].candidate) * cameras + k;
+        if (i && place == last && drop[0] == drops[0][at] && drop[1] == drops[1][at]) {
+          tiles[k][i] = tiles[k][i - 1];
+        } else {
+          for (int j = 0; j < kTileRows; ++j) drop[j] = drops[j][at];
+          tiles[k][i] = tile_of(k, place, drop);
+          moved[k] |= 1u << i;
+          last = place;
+        }
+        clear[k] |= static_cast<uint32_t>(tiles[k][i].clear) << i;
+        blind[k] |= static_cast<uint32_t>(tiles[k][i].blind) << i;
+      }
+    }
   }
 
-  // Costs of the columns from x on, of which those of `wanted` (bit 0 = column x) are asked for: `blocks` are
-  // where.
-  SEEPAST_INLINE Lanes cost_of(int x, uint64_t wanted) {
-    const uint64_t mine = seen >> x & wanted;
-    bool sure = true;  // some pair has a cost in every column
+  static void store_run(uint8_t* to, Lanes cost, uint64_t lanes) {
+    uint8_t found[kLanes];
+    store(found, cost);
+    for (int x = 0; x < kLanes; ++x)
+      if (lanes >> x & 1) to[x] = found[x];
+  }
+
+  // Costs of pairs at the first `count` runs. Near cameras move by less than half a pixel from candidate to
+  // candidate: what was found of such pairs stays. Returns a bit per run: some pair has a cost in every pixel.
+  SEEPAST_INLINE uint32_t match_pairs(const Pairs& pairs, Found* found, int count, int x) {
+    uint32_t sure = 0;
+    const int32_t* pair = pairs.cameras;
+    for (int p = 0; p < pairs.count; ++p, pair += 2) {
+      const int a = pair[1] == v.view.number ? pair[1] : pair[0], b = pair[0] + pair[1] - a;
+      sure |= clear[a] & clear[b];
+      if (a == v.view.number)
+        match_pair<true>(a, b, found[p], count, x);
+      else
+        match_pair<false>(a, b, found[p], count, x);
+    }
+    return sure;
+  }
+
+  // Of cameras a, which is the view's own or not, and b.
+  template <bool kOwn>
+  SEEPAST_INLINE void match_pair(int a, int b, Found& found, int count, int x) {
+    const Sample mine(tiles[a][0], x);
+    const uint32_t again = moved[a] | moved[b], is_clear = clear[a] & clear[b], none = blind[a] | blind[b];
+    for (int i = 0, last = 0; i < count; found.at[i++] = static_cast<uint8_t>(last)) {
+      if (!(again >> i & 1)) continue;
+      last = i;
+      if (none >> i & 1) {
+        store(found.costs[i] + x, all(kNoPair));
+        continue;
+      }
+      const Tile &first = tiles[a][kOwn ? 0 : i], &second = tiles[b][i];
+      const Sample m = kOwn ? mine : Sample(first, x), n(second, x);
+      store(found.costs[i] + x,
+            is_clear >> i & 1 ? pair_of_clear(m, n) : pair_cost(m, n, first, second, x));
+    }
+  }
+
+  // The costs of run i: of pixels that the view sees itself (`mine`), that it does not (`theirs`), or of both.
+  SEEPAST_INLINE Lanes cost_of(int x, int i, bool mine, bool theirs, bool sure) {
     Lanes cost = all(kNoPair);
-    if (mine) cost = mean_of_pairs(v.view.with_own, with_own, x, sure);
-    if (mine != wanted) {
-      bool sure_of_theirs = true;
-      const Lanes without = mean_of_pairs(v.view.others, others, x, sure_of_theirs);
-      cost = choose(holds(static_of(own, x)), cost, without);
-      sure = sure && sure_of_theirs;
+    if (mine) cost = smaller_half(with_own, x, i, v.view.with_own.count);
+    if (theirs) {
+      const Lanes without = smaller_half(others, x, i, v.view.others.count);
+      cost = mine ? choose(holds(static_of(own, x)), cost, without) : without;
     }
     if (sure) return cost;
     Lanes any{};
-    for (int k = 0; k < v.array().cameras; ++k)
-      if (blocks[k].at) any |= static_of(blocks[k], x);
+    for (int k = 0; k < v.array().cameras; ++k) any |= static_of(tiles[k][k == v.view.number ? 0 : i], x);
     const Lanes without = choose(holds(any), all(v.params.lone), all(v.params.unseen));
     return choose(reinterpret_cast<Lanes>(cost == kNoPair), without, cost);
   }
 
-  // Near cameras move by less than a quarter pixel from candidate to candidate: what was found of such pairs
-  // stays.
-  SEEPAST_INLINE Lanes mean_of_pairs(const Pairs& pairs, uint8_t (*found)[kBlock], int x, bool& sure) {
-    sure = false;
-    const bool stays = pairs.count <= kSorted;
-    const int32_t* pair = pairs.cameras;
-    for (int p = 0; p < pairs.count; ++p, pair += 2) {
-      const Block &a = blocks[pair[0]], &b = blocks[pair[1]];
-      const bool clear = a.clear && b.clear;
-      sure = sure || clear;
-      if (stays && !moved[pair[0]] && !moved[pair[1]]) continue;
-      if (clear)
-        store(found[p] + x, pair_of_clear(a, b, x));
-      else if (a.blind || b.blind)
-        store(found[p] + x, all(kNoPair));
-      else
-        store(found[p] + x, pair_cost(a, b, x));
-    }
-    return smaller_half(found, x, pairs.count);
-  }
-
   // reference_multiview.pair_cost where every neighbour of both rays is static ...
-  SEEPAST_INLINE Lanes pair_of_clear(const Block& a, const Block& b, int x) const {
+  SEEPAST_INLINE Lanes pair_of_clear(const Sample& a, const Sample& b) const {
     const Lanes differing =
-        bits_of(census_of(a, 0, x) ^ census_of(b, 0, x), census_of(a, 1, x) ^ census_of(b, 1, x),
-                census_of(a, 2, x) ^ census_of(b, 2, x));
+        bits_of(a.census(0) ^ b.census(0), a.census(1) ^ b.census(1), a.census(2) ^ b.census(2));
     const Lanes twice = differing + differing;
-    return twice + twice + colour_cost(a, b, x);
+    return twice + twice + colour_cost(a, b);
   }
 
   // ... and anywhere.
-  SEEPAST_INLINE Lanes pair_cost(const Block& a, const Block& b, int x) const {
-    const Lanes k0 = known_of(a, 0, x) & known_of(b, 0, x), k1 = known_of(a, 1, x) & known_of(b, 1, x),
-                k2 = known_of(a, 2, x) & known_of(b, 2, x);
+  SEEPAST_INLINE Lanes pair_cost(const Sample& a, const Sample& b, const Tile& of_a, const Tile& of_b,
+                                 int x) const {
+    const Lanes k0 = known_of(of_a, 0, x) & known_of(of_b, 0, x),
+                k1 = known_of(of_a, 1, x) & known_of(of_b, 1, x),
+                k2 = known_of(of_a, 2, x) & known_of(of_b, 2, x);
     const Lanes scale = scales.of(bits_of(k0, k1, k2));
-    const Lanes differing = bits_of((census_of(a, 0, x) ^ census_of(b, 0, x)) & k0,
-                                    (census_of(a, 1, x) ^ census_of(b, 1, x)) & k1,
-                                    (census_of(a, 2, x) ^ census_of(b, 2, x)) & k2);
+    const Lanes differing =
+        bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
+                (a.census(2) ^ b.census(2)) & k2);
     const Lanes scaled = eighths(differing, scale);
     const Lanes census = choose(holds(scale), scaled, all(v.params.few));
-    const Lanes both = holds(static_of(a, x) & static_of(b, x));
-    return (census + colour_cost(a, b, x)) | ~both;
+    const Lanes both = holds(static_of(of_a, x) & static_of(of_b, x));
+    return (census + colour_cost(a, b)) | ~both;
   }
 
-  SEEPAST_INLINE Lanes colour_cost(const Block& a, const Block& b, int x) const {
-    const Lanes blue = apart(colour_of(a, 0, x), colour_of(b, 0, x)),
-                green = apart(colour_of(a, 1, x), colour_of(b, 1, x)),
-                red = apart(colour_of(a, 2, x), colour_of(b, 2, x));
+  SEEPAST_INLINE Lanes colour_cost(const Sample& a, const Sample& b) const {
+    const Lanes blue = apart(a.colour(0), b.colour(0)), green = apart(a.colour(1), b.colour(1)),
+                red = apart(a.colour(2), b.colour(2));
     return lesser(mean(mean(blue, red), green), all(v.params.colour_cap));
   }
 
-  // Mean of the smaller half of the costs `found`, kNoPair where none exists.
-  SEEPAST_INLINE Lanes smaller_half(uint8_t (*found)[kBlock], int x, int count) {
-    if (count <= 1) return count ? load(found[0] + x) : all(kNoPair);
-    const auto at = [&](int p) { return p < count ? load(found[p] + x) : all(kNoPair); };
+  // Mean of the smaller half of the costs `found` of run i, kNoPair where none exists.
+  SEEPAST_INLINE Lanes smaller_half(const Found* found, int x, int i, int count) {
+    const auto of = [&](int p) { return load(found[p].costs[found[p].at[i]] + x); };
+    if (count <= 1) return count ? of(0) : all(kNoPair);
+    const auto at = [&](int p) { return p < count ? of(p) : all(kNoPair); };
     if (count <= 4) return smaller_half_of_4(at);
-    if (count <= kSorted) return smaller_half_of_6(at);
-    return smaller_half_of_many(found, x, count);
+    if (count <= 6) return smaller_half_of_6(at);
+    for (int p = 0; p < count; ++p) store(sorted[p], of(p));
+    return smaller_half_of_many(count);
   }
 
   static SEEPAST_INLINE void order(Lanes& a, Lanes& b) {
@@ -378,28 +463,28 @@ struct RowMatcher {
     return choose(reinterpret_cast<Lanes>(e == kNoPair), two, three);
   }
 
-  // Any number. Reorders what was found.
-  Lanes smaller_half_of_many(uint8_t (*found)[kBlock], int x, int count) {
+  // Any number of them, `sorted`, which they are afterwards.
+  Lanes smaller_half_of_many(int count) {
     Lanes exist{};
-    for (int p = 0; p < count; ++p) exist -= reinterpret_cast<Lanes>(load(found[p] + x) != kNoPair);
+    for (int p = 0; p < count; ++p) exist -= reinterpret_cast<Lanes>(load(sorted[p]) != kNoPair);
     uint8_t half[kLanes], out[kLanes];
     uint16_t sum[kLanes], reciprocal[kLanes];
     store(half, exist);
     for (int i = 0; i < kLanes; ++i) half[i] = static_cast<uint8_t>((half[i] + 1) >> 1);
     for (int i = 0; i < kLanes; ++i) sum[i] = half[i] >> 1, reciprocal[i] = 0;
     for (int q = 0; q < (count + 1) / 2; ++q) {
-      Lanes least = load(found[count - 1] + x);
+      Lanes least = load(sorted[count - 1]);
       for (int p = count - 1; p > q; --p) {  // the smallest of the rest rises to q
-        Lanes next = load(found[p - 1] + x);
+        Lanes next = load(sorted[p - 1]);
         order(least, next);
-        store(found[p] + x, next);
+        store(sorted[p], next);
       }
-      store(found[q] + x, least);
+      store(sorted[q], least);
       const uint16_t share =
           static_cast<uint16_t>(65535 / (q + 1) + 1);  // ceil(65536 / half); 0 stands for 1
       for (int i = 0; i < kLanes; ++i) {
         const bool counts = half[i] > q;
-        sum[i] = static_cast<uint16_t>(sum[i] + (counts ? found[q][x + i] : 0));
+        sum[i] = static_cast<uint16_t>(sum[i] + (counts ? sorted[q][i] : 0));
         reciprocal[i] = counts ? share : reciprocal[i];
       }
     }
@@ -411,13 +496,13 @@ struct RowMatcher {
     return load(out);
   }
 
-  // Writes the tile's columns `wanted` where their rows of the volume are.
+  // Writes the pixels `wanted` where their rows of the volume are.
   void put_chunk(uint64_t wanted, int32_t* next) {
     for (int group = 0; group < kBlock; group += kChunk) {
       uint32_t left = static_cast<uint16_t>(wanted >> group);
       if (!left) continue;
       Sixteen turned[kChunk];
-      transpose_16x16(tile[0] + group, kBlock, turned);
+      transpose_16x16(costs[0] + group, kBlock, turned);
       for (; left; left &= left - 1) {
         const int x = __builtin_ctz(left);
         std::memcpy(v.view.out + kChunk * static_cast<size_t>(next[group + x]++), turned + x, kChunk);
@@ -428,15 +513,17 @@ struct RowMatcher {
   const Volume& v;
   const Rows& rows;
   const Scales scales;
-  std::vector<int32_t> drops;  // [candidate][camera]: how far below this row its rays land
-  Block own;                   // of the view: its planes, which are copied
-  uint64_t seen;               // bit per column that is static there
-  Block blocks[kMaxCameras];
-  alignas(64) uint8_t own_planes[3 * kBytes + 1][kBlock];
-  static constexpr int kSorted = 6;  // as many pairs are sorted in registers
-  bool moved[kMaxCameras];           // since the candidate before
-  alignas(64) uint8_t with_own[kMaxPairs][kBlock], others[kMaxPairs][kBlock];  // costs of every pair
-  alignas(64) uint8_t tile[kChunk][kBlock];
+  std::vector<int32_t> drops[kTileRows];  // [candidate][camera]: how far below the row its rays land
+  Tile own;                               // of the view: its planes, which are copied
+  uint64_t seen;                          // bit per pixel that is static there
+  alignas(64) uint8_t own_planes[kPlanesOfPhase][kBlock];
+  bool whole;
+  int chosen[kRuns];
+  Tile tiles[kMaxCameras][kRuns];                                       // of the chosen runs
+  uint32_t moved[kMaxCameras], clear[kMaxCameras], blind[kMaxCameras];  // bit per run
+  Found with_own[kMaxPairs], others[kMaxPairs];
+  alignas(64) uint8_t sorted[kMaxPairs][kLanes];
+  alignas(64) uint8_t costs[kChunk][kBlock];
 };
 
 #undef SEEPAST_INLINE

@@ -13,7 +13,7 @@ from .. import _core
 from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..confidence import CLOSE, of_views
 from ..geometry import ArrayGeometry
-from ..many import CONFIDENT, CUBIC, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
+from ..many import CONFIDENT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
 from .host import (
     beside,
@@ -135,7 +135,7 @@ def volumes(
     out = _volume(sum(c.chunks for c in candidates))
     _core.volumes(
         np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32),
-        np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), CUBIC, LUMA,
+        np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), LUMA,
         _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
         np.concatenate(pairs), np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale,
         costs.few, costs.colour_cap, costs.lone, costs.unseen, out,
