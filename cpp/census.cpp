@@ -220,15 +220,15 @@ void Describer::valid_row(int y, int phase) {
     gather_bits(around, view.width, plane(y, plane_valid(phase) + byte));
   }
   std::memcpy(plane(y, plane_static(phase)), static_row(y, phase), view.width);
-  const FeatureRow row = ring.row(camera, y);
-  const size_t bits = static_cast<size_t>(phase) * bit_stride(ring.stride);
-  pack_bits(planes + kBytes * static_cast<size_t>(ring.stride), ring.stride, row.seen + bits);
+  uint8_t* const bits = ring.row(camera, y) + phase * bit_stride(ring.stride);
+  pack_bits(planes + kBytes * static_cast<size_t>(ring.stride), ring.stride,
+            bits + bits_seen(ring.stride));
   find_unclear(planes, ring.stride, flags.data());
-  pack_bits(flags.data(), ring.stride, row.unclear + bits);
+  pack_bits(flags.data(), ring.stride, bits + bits_unclear(ring.stride));
 }
 
 uint8_t* Describer::plane(int y, int number) const {
-  return ring.row(camera, y).planes + static_cast<size_t>(number) * ring.stride + kBlock;
+  return ring.row(camera, y) + static_cast<size_t>(number) * ring.stride + kBlock;
 }
 
 }  // namespace seepast

@@ -9,7 +9,7 @@
 
 namespace seepast {
 
-// What matching reads of a row of one camera: kPlanes rows of `stride` bytes, column x at x + kBlock. The 24
+// What matching reads of a row of one camera begins with kPlanes rows of `stride` bytes, column x at x + kBlock. The 24
 // bits of census and valid are three planes each. Outside the image nothing is valid or static and the rest
 // is not set. Phase p is the sample at x + p / 2.
 constexpr int kPhases = 2;
@@ -23,13 +23,14 @@ constexpr int kPlanes = kPhases * kPlanesOfPhase;
 
 constexpr int feature_stride(int width) { return (width + kBlock - 1) / kBlock * kBlock + 2 * kBlock; }
 
-// Bits per column, [kPhases, bit_stride(stride)] bytes each: four bytes may be read from any column's on.
+// Behind the planes of a row: a bit per column, [kPhases, bit_stride(stride)] bytes each. Four bytes may be
+// read from any column's on.
 constexpr int bit_stride(int stride) { return stride / 8 + 8; }
-struct FeatureRow {
-  uint8_t* planes;   // [kPlanes, stride]
-  uint8_t* unclear;  // not static, or lacks a valid bit
-  uint8_t* seen;     // static
-};
+constexpr int bits_unclear(int stride) { return kPlanes * stride; }  // not static, or lacks a valid bit
+constexpr int bits_seen(int stride) { return bits_unclear(stride) + kPhases * bit_stride(stride); }  // static
+constexpr int bytes_of_row(int stride) {
+  return (bits_seen(stride) + kPhases * bit_stride(stride) + kBlock - 1) / kBlock * kBlock;
+}
 
 // The last `slots` rows of every camera, and one that lies outside every image.
 struct FeatureRing {
@@ -37,26 +38,21 @@ struct FeatureRing {
       : cameras(cameras),
         stride(feature_stride(width)),
         slots(rows),
-        planes((static_cast<size_t>(cameras) * slots + 1) * kPlanes * stride),
-        bits((static_cast<size_t>(cameras) * slots + 1) * 2 * kPhases * bit_stride(stride)) {
-    std::fill_n(outside().unclear, kPhases * bit_stride(stride), uint8_t{255});
+        bytes((static_cast<size_t>(cameras) * slots + 1) * bytes_of_row(stride)) {
+    std::fill_n(outside() + bits_unclear(stride), kPhases * bit_stride(stride), uint8_t{255});
   }
 
-  FeatureRow row(int camera, int y) {
+  uint8_t* row(int camera, int y) {
     return at(static_cast<size_t>(camera) * slots + static_cast<size_t>(y + slots) % slots);
   }
-  FeatureRow outside() { return at(static_cast<size_t>(cameras) * slots); }
+  uint8_t* outside() { return at(static_cast<size_t>(cameras) * slots); }
 
   int cameras, stride, slots;
 
  private:
-  FeatureRow at(size_t slot) {
-    const size_t flags = static_cast<size_t>(kPhases) * bit_stride(stride);
-    uint8_t* const unclear = bits.data() + 2 * slot * flags;
-    return {planes.data() + slot * kPlanes * stride, unclear, unclear + flags};
-  }
+  uint8_t* at(size_t slot) { return bytes.data() + slot * bytes_of_row(stride); }
 
-  std::vector<uint8_t> planes, bits;
+  std::vector<uint8_t> bytes;
 };
 
 // One camera's picture.

@@ -25,21 +25,15 @@ constexpr int kTileRows = kBlock / kColumns;
 
 inline int least(int a, int b) { return a < b ? a : b; }
 
-// Where a tile of one camera is read at one candidate: column i of row j at [j] + i.
-struct Tile {
-  const uint8_t* at[kTileRows];     // its census planes and colours
-  const uint8_t* valid[kTileRows];  // its valid planes and static flags
-  size_t stride;                    // from plane to plane
-  bool clear;                       // every neighbour of every sample is static
-  bool blind;                       // no sample is
-};
-
-// Where a camera is read for a row of a tile: at a column of the planes of a phase. Outside the image: -1.
+// Where a camera is read for a row of a tile: its planes of one phase from `at` of the row on, and the bits
+// of its columns.
 struct Place {
-  int16_t column, phase;
-  bool operator==(const Place&) const = default;
+  int32_t at;
+  int16_t bits;  // bytes before that of the first column
+  int8_t skip;   // bits before its
+  bool outside;  // the image, everywhere
 };
-constexpr Place kNowhere{-1, 0};
+constexpr Place kNowhere{0, 0, 0, true};
 
 // Columns [from, to) of a tile that are read with the same shifts at a candidate.
 struct Run {
@@ -54,35 +48,40 @@ struct Run {
 struct Columns {
   Columns(const Array& array, const Grid& grid)
       : cameras(array.cameras),
+        count(grid.count),
         stride(feature_stride(array.width)),
         tiles((array.width + kColumns - 1) / kColumns),
         runs(tiles),
         places(tiles),
         starts(tiles) {
-    for (int i = 0; i < grid.count; ++i)
-      for (int k = 0; k < cameras; ++k) {
-        shifts.push_back(array.shift(k, grid.value(i)));
-        zoom.push_back(shifts.back().zoom), down.push_back(shifts.back().y),
-            view.push_back(shifts.back().view_y);
+    for (int i = 0; i < count; ++i)
+      for (int k = 0; k < cameras; ++k) shifts.push_back(array.shift(k, grid.value(i)));
+    for (int k = 0; k < cameras; ++k)
+      for (int i = 0; i < count; ++i) {
+        const RayShift& shift = shifts[static_cast<size_t>(i) * cameras + k];
+        zoom.push_back(shift.zoom), down.push_back(shift.y), view.push_back(shift.view_y);
       }
 #pragma omp parallel for schedule(static)
-    for (int t = 0; t < tiles; ++t) fill(array, grid.count, t);
+    for (int t = 0; t < tiles; ++t) fill(array, t);
   }
 
-  void fill(const Array& array, int count, int t) {
+  void fill(const Array& array, int t) {
     const int from = t * kColumns, to = std::min(from + kColumns, array.width);
+    std::vector<Place> of_runs;  // [run][camera]
     for (int i = 0; i < count; ++i) {
       starts[t].push_back(static_cast<int32_t>(runs[t].size()));
       for (int first = from; first < to;) {
         int last = to;
         for (int k = 0; k < cameras; ++k)
-          places[t].push_back(
+          of_runs.push_back(
               place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
         runs[t].push_back({first - from, last - from, i});
         first = last;
       }
     }
     starts[t].push_back(static_cast<int32_t>(runs[t].size()));
+    for (int k = 0; k < cameras; ++k)
+      for (size_t r = 0; r < runs[t].size(); ++r) places[t].push_back(of_runs[r * cameras + k]);
   }
 
   // Where the tile that starts at `from` is read for column `first`; cuts `last` to the columns that have its
@@ -97,14 +96,17 @@ struct Columns {
     last = end;
     const int column = (halves >> 1) + from + kBlock;
     if (column < 0 || column > stride - kColumns) return kNowhere;
-    return {static_cast<int16_t>(column), static_cast<int16_t>(halves & 1)};
+    const int phase = halves & 1;
+    return {plane_census(phase) * stride + column,
+            static_cast<int16_t>(phase * bit_stride(stride) + column / 8), static_cast<int8_t>(column % 8),
+            false};
   }
 
-  int cameras, stride, tiles;
+  int cameras, count, stride, tiles;
   std::vector<RayShift> shifts;              // [candidate][camera]
-  std::vector<float> zoom, down, view;       // theirs, of rows
+  std::vector<float> zoom, down, view;       // theirs, of rows: [camera][candidate]
   std::vector<std::vector<Run>> runs;        // [tile][run]
-  std::vector<std::vector<Place>> places;    // [tile][run * cameras + camera]
+  std::vector<std::vector<Place>> places;    // [tile][camera, run]
   std::vector<std::vector<int32_t>> starts;  // [tile][candidate]: its first run
 };
 
@@ -138,14 +140,13 @@ struct Drop {
 
 // The rows of all cameras around those that are matched, as far as rays drop from the first of them.
 struct Rows {
-  const FeatureRow& at(int camera, int drop) const {
-    return list[static_cast<size_t>(drop - reach.least) * cameras + camera];
-  }
+  // Of one camera, by how far below the first of them.
+  const uint8_t* const* of(int camera) const { return list.data() + camera * count() - reach.least; }
+  int count() const { return reach.most - reach.least + kTileRows; }
 
   const Drop reach;
-  int cameras;
-  FeatureRow outside;            // every image
-  std::vector<FeatureRow> list;  // [drop][camera]
+  const uint8_t* outside;            // every image
+  std::vector<const uint8_t*> list;  // [camera, count]
 };
 
 #if defined(SEEPAST_V4_BYTES)
@@ -185,7 +186,7 @@ struct Matcher {
       : volumes(volumes),
         ring(static_cast<int>(described.size()), described[0].width,
              std::min(drop.most - drop.least + kTileRows, described[0].height) + Describer::kReach + 1),
-        rows{drop, ring.cameras, ring.outside(), {}} {
+        rows{drop, ring.outside(), {}} {
     for (size_t k = 0; k < described.size(); ++k)
       describers.emplace_back(described[k], ring, static_cast<int>(k));
     for (const Volume& volume : volumes) matchers.push_back(std::make_unique<RowMatcher>(volume, rows));
@@ -200,8 +201,8 @@ struct Matcher {
     for (Describer& describer : describers)
       describer.describe(std::max(0, y + least), std::min(height, end + most));
     rows.list.clear();
-    for (int to = y + least; to < y + kTileRows + most; ++to)
-      for (int k = 0; k < ring.cameras; ++k)
+    for (int k = 0; k < ring.cameras; ++k)
+      for (int to = y + least; to < y + kTileRows + most; ++to)
         rows.list.push_back(to >= 0 && to < std::min(height, end + most) ? ring.row(k, to) : rows.outside);
     for (size_t i = 0; i < volumes.size(); ++i)
       if (wants(volumes[i])) {

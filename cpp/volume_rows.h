@@ -107,25 +107,33 @@ struct Scales {
 };
 #endif
 
-// Pixels x .. x + kLanes of a plane of a tile, `offset` from its first one.
-SEEPAST_INLINE Lanes lanes_of(const uint8_t* const* rows, size_t offset, int x) {
+// Where a tile of one camera is read: column i of the plane p of row j at [j] + p stride + i, planes as those
+// of a phase.
+struct Tile {
+  // Pixels x .. x + kLanes of plane p.
+  SEEPAST_INLINE Lanes plane(int p, int x) const {
+    const size_t offset = p * stride;
 #if defined(SEEPAST_BYTES_AVX512)
-  static_assert(kColumns == 32 && kTileRows == 2);
-  const __m256i first = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(rows[0] + offset)),
-                second = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(rows[1] + offset));
-  return (Lanes)_mm512_inserti64x4(_mm512_castsi256_si512(first), second, 1);
+    static_assert(kColumns == 32 && kTileRows == 2);
+    const __m256i first = _mm256_loadu_si256((const __m256i*)(at[0] + offset)),
+                  second = _mm256_loadu_si256((const __m256i*)(at[1] + offset));
+    return (Lanes)_mm512_inserti64x4(_mm512_castsi256_si512(first), second, 1);
 #else
-  static_assert(kColumns % kLanes == 0);
-  return load(rows[x / kColumns] + offset + x % kColumns);
+    static_assert(kColumns % kLanes == 0);
+    return load(at[x / kColumns] + offset + x % kColumns);
 #endif
-}
-SEEPAST_INLINE Lanes known_of(const Tile& t, int i, int x) { return lanes_of(t.valid, i * t.stride, x); }
-SEEPAST_INLINE Lanes static_of(const Tile& t, int x) { return lanes_of(t.valid, kBytes * t.stride, x); }
+  }
+  SEEPAST_INLINE Lanes known(int i, int x) const { return plane(plane_valid(0) + i, x); }
+  SEEPAST_INLINE Lanes is_static(int x) const { return plane(plane_static(0), x); }
+
+  const uint8_t* at[kTileRows];
+  size_t stride;
+};
 
 // What pairs compare of a tile.
 struct Sample {
-  SEEPAST_INLINE Sample(const Tile& t, int x) {
-    for (int i = 0; i < 2 * kBytes; ++i) planes[i] = lanes_of(t.at, i * t.stride, x);
+  SEEPAST_INLINE Sample(const Tile& tile, int x) {
+    for (int p = 0; p < 2 * kBytes; ++p) planes[p] = tile.plane(p, x);
   }
   SEEPAST_INLINE Lanes census(int i) const { return planes[i]; }
   SEEPAST_INLINE Lanes colour(int i) const { return planes[kBytes + i]; }
@@ -178,24 +186,6 @@ struct RowMatcher {
     for (int t = 0; t < v.columns.tiles; ++t) match_tile(y, end, t);
   }
 
-  // Where camera k is read, `drop` rows below each of the tile's.
-  SEEPAST_INLINE Tile tile_of(int k, const Place& place, const int32_t (&drop)[kTileRows]) const {
-    const size_t stride = v.columns.stride;
-    Tile tile{};
-    tile.stride = stride;
-    const int column = place.column < 0 ? 0 : place.column;
-    const size_t bits = static_cast<size_t>(place.phase) * bit_stride(v.columns.stride) + column / 8;
-    uint32_t unclear = 0, seen = 0;
-    for (int j = 0; j < kTileRows; ++j) {
-      const FeatureRow& row = place.column < 0 ? rows.outside : rows.at(k, drop[j] + j);
-      tile.at[j] = row.planes + plane_census(place.phase) * stride + column;
-      tile.valid[j] = row.planes + plane_valid(place.phase) * stride + column;
-      unclear |= bits_from(row.unclear + bits, column % 8);
-      seen |= bits_from(row.seen + bits, column % 8);
-    }
-    tile.clear = !unclear, tile.blind = !seen;
-    return tile;
-  }
   static SEEPAST_INLINE uint32_t bits_from(const uint8_t* at, int skip) {
     uint64_t bits;
     std::memcpy(&bits, at, sizeof(bits));
@@ -241,33 +231,30 @@ struct RowMatcher {
 
   // Copies the view's own tile, which all candidates share.
   void look_at_own(int from) {
-    const int32_t here[kTileRows] = {};
-    const Tile tile = tile_of(v.view.number, {static_cast<int16_t>(from + kBlock), 0}, here);
-    for (int j = 0; j < kTileRows; ++j)
-      for (int i = 0; i < kPlanesOfPhase; ++i)
-        std::memcpy(own_planes[i] + j * kColumns, tile.at[j] + i * tile.stride, kColumns);
-    own = tile;
-    own.stride = kBlock;
-    for (int j = 0; j < kTileRows; ++j) {
-      own.at[j] = own_planes[plane_census(0)] + j * kColumns;
-      own.valid[j] = own_planes[plane_valid(0)] + j * kColumns;
-    }
+    const int stride = v.columns.stride, column = from + kBlock;
+    uint32_t unclear = 0;
     seen = 0;
-    const uint8_t* const is_static = own_planes[plane_static(0)];
-    for (int x = 0; x < kBlock; ++x) seen |= static_cast<uint64_t>(is_static[x] & 1) << x;
+    for (int j = 0; j < kTileRows; ++j) {
+      const uint8_t* row = rows.of(v.view.number)[j];
+      for (int p = 0; p < kPlanesOfPhase; ++p)
+        std::memcpy(own_planes[p] + j * kColumns, row + p * stride + column, kColumns);
+      row += column / 8;
+      unclear |= bits_from(row + bits_unclear(stride), column % 8);
+      seen |= static_cast<uint64_t>(bits_from(row + bits_seen(stride), column % 8)) << j * kColumns;
+    }
+    clear[v.view.number] = unclear ? 0 : ~0u;
+    blind[v.view.number] = seen ? 0 : ~0u;
   }
 
   // Asks for what a chunk will look at, all at once.
   void fetch(int t, int chunk) const {
     const Columns& columns = v.columns;
-    const int cameras = v.array().cameras;
-    const int first = columns.starts[t][kChunk * chunk];
-    const Place* place = columns.places[t].data() + static_cast<size_t>(first) * cameras;
-    for (int k = 0; k < cameras; ++k) {
-      if (k == v.view.number || place[k].column < 0) continue;
+    const size_t candidate = static_cast<size_t>(kChunk) * chunk;
+    for (int k = 0; k < v.array().cameras; ++k) {
+      const Place place = columns.places[t][k * columns.runs[t].size() + columns.starts[t][candidate]];
+      if (k == v.view.number || place.outside) continue;
       for (int j = 0; j < kTileRows; ++j) {
-        const int drop = drops[j][static_cast<size_t>(kChunk * chunk) * cameras + k];
-        const uint8_t* at = rows.at(k, drop + j).planes + place[k].column;
+        const uint8_t* at = rows.of(k)[drops[j][k * columns.count + candidate] + j] + place.at % columns.stride;
         for (int plane = 0; plane < kPlanes; ++plane, at += columns.stride) __builtin_prefetch(at);
       }
     }
@@ -311,31 +298,42 @@ struct RowMatcher {
 
   // Where every camera is read for the chosen runs, and from which run on it is read elsewhere.
   void place_tiles(int t, int count) {
-    const int cameras = v.array().cameras;
-    const Run* runs = v.columns.runs[t].data();
-    for (int k = 0; k < cameras; ++k) {
-      moved[k] = 1, clear[k] = blind[k] = 0;
-      if (k == v.view.number) {
-        tiles[k][0] = own, clear[k] = own.clear ? ~0u : 0, blind[k] = own.blind ? ~0u : 0;
-        continue;
-      }
-      Place last{};
-      int32_t drop[kTileRows] = {};
-      for (int i = 0; i < count; ++i) {
-        const Place place = v.columns.places[t][static_cast<size_t>(chosen[i]) * cameras + k];
-        const size_t at = static_cast<size_t>(runs[chosen[i]].candidate) * cameras + k;
-        if (i && place == last && drop[0] == drops[0][at] && drop[1] == drops[1][at]) {
-          tiles[k][i] = tiles[k][i - 1];
-        } else {
-          for (int j = 0; j < kTileRows; ++j) drop[j] = drops[j][at];
-          tiles[k][i] = tile_of(k, place, drop);
-          moved[k] |= 1u << i;
-          last = place;
-        }
-        clear[k] |= static_cast<uint32_t>(tiles[k][i].clear) << i;
-        blind[k] |= static_cast<uint32_t>(tiles[k][i].blind) << i;
-      }
+    for (int k = 0; k < v.array().cameras; ++k) {
+      moved[k] = 1;
+      if (k != v.view.number) place_tiles_of(k, t, count);
     }
+  }
+
+  void place_tiles_of(int k, int t, int count) {
+    const int unclear = bits_unclear(v.columns.stride), static_bits = bits_seen(v.columns.stride);
+    const Run* const runs = v.columns.runs[t].data();
+    const Place* const places = v.columns.places[t].data() + k * v.columns.runs[t].size();
+    const int32_t *const drop = drops[0].data() + k * v.columns.count,
+                  *const drop_below = drops[1].data() + k * v.columns.count;
+    const uint8_t* const* const lines = rows.of(k);
+    const uint8_t **const first = tiles[k][0], **const second = tiles[k][1];
+    uint32_t elsewhere = 1, is_clear = 0, is_blind = 0, last = 0;  // `last`: 1 clear, 2 blind
+    for (int i = 0; i < count; ++i) {
+      const Place place = places[chosen[i]];
+      const int candidate = runs[chosen[i]].candidate;
+      const uint8_t* const row = place.outside ? rows.outside : lines[drop[candidate]];
+      const uint8_t* const below = place.outside ? rows.outside : lines[drop_below[candidate] + 1];
+      first[i] = row + place.at, second[i] = below + place.at;
+      if (!i || first[i] != first[i - 1] || second[i] != second[i - 1]) {
+        elsewhere |= 1u << i;
+        const int at = place.bits + unclear, seen_at = place.bits + static_bits;
+        last = !(bits_from(row + at, place.skip) | bits_from(below + at, place.skip));
+        if (!last) last = !(bits_from(row + seen_at, place.skip) | bits_from(below + seen_at, place.skip)) * 2;
+      }
+      is_clear |= (last & 1) << i, is_blind |= (last >> 1) << i;
+    }
+    moved[k] = elsewhere, clear[k] = is_clear, blind[k] = is_blind;
+  }
+
+  // Camera k at run i.
+  SEEPAST_INLINE Tile tile_of(int k, int i) const {
+    if (k == v.view.number) return {{own_planes[0], own_planes[0] + kColumns}, kBlock};
+    return {{tiles[k][0][i], tiles[k][1][i]}, static_cast<size_t>(v.columns.stride)};
   }
 
   static void store_run(uint8_t* to, Lanes cost, uint64_t lanes) {
@@ -364,7 +362,8 @@ struct RowMatcher {
   // Of cameras a, which is the view's own or not, and b.
   template <bool kOwn>
   SEEPAST_INLINE void match_pair(int a, int b, Found& found, int count, int x) {
-    const Sample mine(tiles[a][0], x);
+    const Tile own = tile_of(a, 0);
+    const Sample of_own(own, x);
     const uint32_t again = moved[a] | moved[b], is_clear = clear[a] & clear[b], none = blind[a] | blind[b];
     for (int i = 0, last = 0; i < count; found.at[i++] = static_cast<uint8_t>(last)) {
       if (!(again >> i & 1)) continue;
@@ -373,8 +372,8 @@ struct RowMatcher {
         store(found.costs[i] + x, all(kNoPair));
         continue;
       }
-      const Tile &first = tiles[a][kOwn ? 0 : i], &second = tiles[b][i];
-      const Sample m = kOwn ? mine : Sample(first, x), n(second, x);
+      const Tile first = kOwn ? own : tile_of(a, i), second = tile_of(b, i);
+      const Sample m = kOwn ? of_own : Sample(first, x), n(second, x);
       store(found.costs[i] + x,
             is_clear >> i & 1 ? pair_of_clear(m, n) : pair_cost(m, n, first, second, x));
     }
@@ -386,11 +385,11 @@ struct RowMatcher {
     if (mine) cost = smaller_half(with_own, x, i, v.view.with_own.count);
     if (theirs) {
       const Lanes without = smaller_half(others, x, i, v.view.others.count);
-      cost = mine ? choose(holds(static_of(own, x)), cost, without) : without;
+      cost = mine ? choose(holds(load(own_planes[plane_static(0)] + x)), cost, without) : without;
     }
     if (sure) return cost;
     Lanes any{};
-    for (int k = 0; k < v.array().cameras; ++k) any |= static_of(tiles[k][k == v.view.number ? 0 : i], x);
+    for (int k = 0; k < v.array().cameras; ++k) any |= tile_of(k, i).is_static(x);
     const Lanes without = choose(holds(any), all(v.params.lone), all(v.params.unseen));
     return choose(reinterpret_cast<Lanes>(cost == kNoPair), without, cost);
   }
@@ -406,16 +405,16 @@ struct RowMatcher {
   // ... and anywhere.
   SEEPAST_INLINE Lanes pair_cost(const Sample& a, const Sample& b, const Tile& of_a, const Tile& of_b,
                                  int x) const {
-    const Lanes k0 = known_of(of_a, 0, x) & known_of(of_b, 0, x),
-                k1 = known_of(of_a, 1, x) & known_of(of_b, 1, x),
-                k2 = known_of(of_a, 2, x) & known_of(of_b, 2, x);
+    const Lanes k0 = of_a.known(0, x) & of_b.known(0, x),
+                k1 = of_a.known(1, x) & of_b.known(1, x),
+                k2 = of_a.known(2, x) & of_b.known(2, x);
     const Lanes scale = scales.of(bits_of(k0, k1, k2));
     const Lanes differing =
         bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
                 (a.census(2) ^ b.census(2)) & k2);
     const Lanes scaled = eighths(differing, scale);
     const Lanes census = choose(holds(scale), scaled, all(v.params.few));
-    const Lanes both = holds(static_of(of_a, x) & static_of(of_b, x));
+    const Lanes both = holds(of_a.is_static(x) & of_b.is_static(x));
     return (census + colour_cost(a, b)) | ~both;
   }
 
@@ -513,13 +512,12 @@ struct RowMatcher {
   const Volume& v;
   const Rows& rows;
   const Scales scales;
-  std::vector<int32_t> drops[kTileRows];  // [candidate][camera]: how far below the row its rays land
-  Tile own;                               // of the view: its planes, which are copied
+  std::vector<int32_t> drops[kTileRows];  // [camera, candidate]: how far below the row its rays land
   uint64_t seen;                          // bit per pixel that is static there
-  alignas(64) uint8_t own_planes[kPlanesOfPhase][kBlock];
+  alignas(64) uint8_t own_planes[kPlanesOfPhase][kBlock];  // of the view
   bool whole;
   int chosen[kRuns];
-  Tile tiles[kMaxCameras][kRuns];                                       // of the chosen runs
+  const uint8_t* tiles[kMaxCameras][kTileRows][kRuns];                  // of the chosen runs
   uint32_t moved[kMaxCameras], clear[kMaxCameras], blind[kMaxCameras];  // bit per run
   Found with_own[kMaxPairs], others[kMaxPairs];
   alignas(64) uint8_t sorted[kMaxPairs][kLanes];
