@@ -53,6 +53,8 @@ struct Columns {
         tiles((array.width + kColumns - 1) / kColumns),
         runs(tiles),
         places(tiles),
+        at(tiles),
+        steps(tiles),
         starts(tiles) {
     for (int i = 0; i < count; ++i)
       for (int k = 0; k < cameras; ++k) shifts.push_back(array.shift(k, grid.value(i)));
@@ -80,8 +82,25 @@ struct Columns {
       }
     }
     starts[t].push_back(static_cast<int32_t>(runs[t].size()));
-    for (int k = 0; k < cameras; ++k)
+    for (int k = 0; k < cameras; ++k) {
+      const size_t first = places[t].size();
       for (size_t r = 0; r < runs[t].size(); ++r) places[t].push_back(of_runs[r * cameras + k]);
+      for (int i = 0; i < count; i += kChunk)
+        steps[t].push_back(steps_of(places[t].data() + first + starts[t][i], starts[t][i + kChunk] - starts[t][i]));
+    }
+    for (const Place& place : places[t]) at[t].push_back(place.at);
+  }
+
+  // The runs of a chunk, as bits, from which on another place is read; 0 where there is more than one per
+  // candidate or one is outside.
+  static uint16_t steps_of(const Place* places, int runs) {
+    if (runs != kChunk) return 0;
+    uint16_t steps = 1;
+    for (int i = 0; i < kChunk; ++i) {
+      if (places[i].outside) return 0;
+      if (i && places[i].at != places[i - 1].at) steps = static_cast<uint16_t>(steps | 1 << i);
+    }
+    return steps;
   }
 
   // Where the tile that starts at `from` is read for column `first`; cuts `last` to the columns that have its
@@ -107,6 +126,8 @@ struct Columns {
   std::vector<float> zoom, down, view;       // theirs, of rows: [camera][candidate]
   std::vector<std::vector<Run>> runs;        // [tile][run]
   std::vector<std::vector<Place>> places;    // [tile][camera, run]
+  std::vector<std::vector<int32_t>> at;      // theirs alone
+  std::vector<std::vector<uint16_t>> steps;  // [tile][camera, chunk]: steps_of
   std::vector<std::vector<int32_t>> starts;  // [tile][candidate]: its first run
 };
 

@@ -178,12 +178,26 @@ struct RowMatcher {
   RowMatcher(const Volume& volume, const Rows& rows)
       : v(volume), rows(rows), scales(volume.params.census_scale) {
     for (auto& of_row : drops) of_row.resize(volume.columns.shifts.size());
+    steady.resize(volume.columns.shifts.size() / kChunk);
   }
 
   // The rows [y, end) that `rows` and `drops` are about.
   __attribute__((noinline)) void match_rows(int y, int end) {
     if (end < y + kTileRows) drops[1] = drops[0];  // any: nothing is wanted there
+    find_steady();
     for (int t = 0; t < v.columns.tiles; ++t) match_tile(y, end, t);
+  }
+
+  // The chunks of a camera of which all candidates land on the same rows.
+  void find_steady() {
+    for (size_t chunk = 0; chunk < steady.size(); ++chunk) {
+      int32_t apart = 0;
+      for (const auto& of_row : drops) {
+        const int32_t* drop = of_row.data() + kChunk * chunk;
+        for (int i = 0; i < kChunk; ++i) apart |= drop[i] ^ drop[0];
+      }
+      steady[chunk] = !apart;
+    }
   }
 
   static SEEPAST_INLINE uint32_t bits_from(const uint8_t* at, int skip) {
@@ -195,17 +209,17 @@ struct RowMatcher {
   // The chunks that some pixel of a tile wants, from the farthest on.
   void match_tile(int y, int end, int t) {
     const int from = t * kColumns, width = least(kColumns, v.array().width - from);
-    uint64_t active[kBlock] = {}, any = 0;
+    alignas(64) uint64_t active[kBlock] = {};
     int32_t next[kBlock];
     for (int j = 0; j < end - y; ++j) {
       const size_t first = static_cast<size_t>(y + j) * v.array().width + from;
-      if (v.view.chunks.start[first] == v.view.chunks.start[first + width]) continue;
-      for (int x = 0; x < width; ++x) {
-        active[j * kColumns + x] = v.view.chunks.active[first + x];
-        next[j * kColumns + x] = v.view.chunks.start[first + x];
-        any |= active[j * kColumns + x];
-      }
+      const Chunks chunks{v.view.chunks.active + first, v.view.chunks.start + first};
+      if (chunks.start[0] == chunks.start[width]) continue;
+      copy_columns(chunks.active, width, active + j * kColumns);
+      copy_columns(chunks.start, width, next + j * kColumns);
     }
+    uint64_t any = 0;
+    for (int x = 0; x < kBlock; ++x) any |= active[x];
     if (!any) return;
     look_at_own(from);
     for (; any; any &= any - 1) {
@@ -215,6 +229,14 @@ struct RowMatcher {
       match_chunk(t, chunk, wanted);
       put_chunk(wanted, next);
     }
+  }
+
+  template <class T>
+  static void copy_columns(const T* from, int width, T* to) {
+    if (width == kColumns)  // a copy of known size is a few instructions
+      std::memcpy(to, from, sizeof(T) * kColumns);
+    else
+      std::memcpy(to, from, sizeof(T) * static_cast<size_t>(width));
   }
 
   static uint64_t lanes_with(const uint64_t* active, int chunk) {
@@ -270,14 +292,23 @@ struct RowMatcher {
     for (int r = starts[0]; r < starts[kChunk]; ++r) {
       if (!(wanted & runs[r].lanes())) continue;
       chosen[count++] = r;
-      if (count == kRuns) match_runs(t, count, wanted), count = 0;
+      if (count == kRuns) match_runs(t, chunk, count, wanted), count = 0;
     }
-    if (count) match_runs(t, count, wanted);
+    if (count) match_runs(t, chunk, count, wanted);
   }
 
   // The first `count` of the `chosen` runs.
-  void match_runs(int t, int count, uint64_t wanted) {
-    place_tiles(t, count);
+  void match_runs(int t, int chunk, int count, uint64_t wanted) {
+    for (int k = 0; k < v.array().cameras; ++k) {
+      moved[k] = 1;
+      if (k == v.view.number) continue;
+      const size_t at = static_cast<size_t>(k) * (v.columns.count / kChunk) + chunk;
+      const uint32_t steps = count == kChunk && steady[at] ? v.columns.steps[t][at] : 0;
+      if (steps)
+        place_chunk(k, t, chunk, steps);
+      else
+        place_runs(k, t, count);
+    }
     for (int x = 0; x < kBlock; x += kLanes) {
       const uint64_t here = wanted >> x << (64 - kLanes) >> (64 - kLanes), mine = seen >> x & here;
       if (!here) continue;
@@ -296,38 +327,56 @@ struct RowMatcher {
     }
   }
 
-  // Where every camera is read for the chosen runs, and from which run on it is read elsewhere.
-  void place_tiles(int t, int count) {
-    for (int k = 0; k < v.array().cameras; ++k) {
-      moved[k] = 1;
-      if (k != v.view.number) place_tiles_of(k, t, count);
+  // Where camera k is read for all runs of a chunk, which are on the same rows, and from which on elsewhere.
+  void place_chunk(int k, int t, int chunk, uint32_t steps) {
+    const Columns& columns = v.columns;
+    const size_t first = k * columns.runs[t].size() + columns.starts[t][kChunk * chunk],
+                 candidate = static_cast<size_t>(k) * columns.count + kChunk * chunk;
+    const Place* const places = columns.places[t].data() + first;
+    const int32_t* const at = columns.at[t].data() + first;
+    const uint8_t *const row = rows.of(k)[drops[0][candidate]],
+                  *const below = rows.of(k)[drops[1][candidate] + 1];
+    for (int i = 0; i < kChunk; ++i) tiles[k][0][i] = row + at[i];
+    for (int i = 0; i < kChunk; ++i) tiles[k][1][i] = below + at[i];
+    uint32_t is_clear = 0, is_blind = 0;
+    for (uint32_t left = steps; left; left &= left - 1) {
+      const int i = __builtin_ctz(left);
+      const uint32_t on = ~0u << i, all = all_of(row, below, places[i]);
+      is_clear = (is_clear & ~on) | (all == kClear ? on : 0);
+      is_blind = (is_blind & ~on) | (all == kBlind ? on : 0);
     }
+    moved[k] = steps, clear[k] = is_clear, blind[k] = is_blind;
   }
 
-  void place_tiles_of(int k, int t, int count) {
-    const int unclear = bits_unclear(v.columns.stride), static_bits = bits_seen(v.columns.stride);
-    const Run* const runs = v.columns.runs[t].data();
-    const Place* const places = v.columns.places[t].data() + k * v.columns.runs[t].size();
-    const int32_t *const drop = drops[0].data() + k * v.columns.count,
-                  *const drop_below = drops[1].data() + k * v.columns.count;
-    const uint8_t* const* const lines = rows.of(k);
+  // The same for the chosen runs.
+  void place_runs(int k, int t, int count) {
+    const Columns& columns = v.columns;
+    const Place* const places = columns.places[t].data() + k * columns.runs[t].size();
+    const size_t candidates = static_cast<size_t>(k) * columns.count;
     const uint8_t **const first = tiles[k][0], **const second = tiles[k][1];
-    uint32_t elsewhere = 1, is_clear = 0, is_blind = 0, last = 0;  // `last`: 1 clear, 2 blind
+    uint32_t elsewhere = 0, is_clear = 0, is_blind = 0;
     for (int i = 0; i < count; ++i) {
       const Place place = places[chosen[i]];
-      const int candidate = runs[chosen[i]].candidate;
-      const uint8_t* const row = place.outside ? rows.outside : lines[drop[candidate]];
-      const uint8_t* const below = place.outside ? rows.outside : lines[drop_below[candidate] + 1];
+      const size_t candidate = candidates + columns.runs[t][chosen[i]].candidate;
+      const uint8_t* const row = place.outside ? rows.outside : rows.of(k)[drops[0][candidate]];
+      const uint8_t* const below = place.outside ? rows.outside : rows.of(k)[drops[1][candidate] + 1];
       first[i] = row + place.at, second[i] = below + place.at;
-      if (!i || first[i] != first[i - 1] || second[i] != second[i - 1]) {
-        elsewhere |= 1u << i;
-        const int at = place.bits + unclear, seen_at = place.bits + static_bits;
-        last = !(bits_from(row + at, place.skip) | bits_from(below + at, place.skip));
-        if (!last) last = !(bits_from(row + seen_at, place.skip) | bits_from(below + seen_at, place.skip)) * 2;
-      }
-      is_clear |= (last & 1) << i, is_blind |= (last >> 1) << i;
+      if (!i || first[i] != first[i - 1] || second[i] != second[i - 1]) elsewhere |= 1u << i;
+      const uint32_t all = all_of(row, below, place);
+      is_clear |= static_cast<uint32_t>(all == kClear) << i, is_blind |= static_cast<uint32_t>(all == kBlind) << i;
     }
     moved[k] = elsewhere, clear[k] = is_clear, blind[k] = is_blind;
+  }
+
+  // What holds of all pixels of a tile that is read at `place` of two rows.
+  static constexpr uint32_t kClear = 1;  // every neighbour of every sample is static
+  static constexpr uint32_t kBlind = 2;  // no sample is
+  SEEPAST_INLINE uint32_t all_of(const uint8_t* row, const uint8_t* below, const Place& place) const {
+    const auto any = [&](int bits) {
+      return bits_from(row + bits + place.bits, place.skip) | bits_from(below + bits + place.bits, place.skip);
+    };
+    if (!any(bits_unclear(v.columns.stride))) return kClear;
+    return any(bits_seen(v.columns.stride)) ? 0 : kBlind;
   }
 
   // Camera k at run i.
@@ -513,6 +562,7 @@ struct RowMatcher {
   const Rows& rows;
   const Scales scales;
   std::vector<int32_t> drops[kTileRows];  // [camera, candidate]: how far below the row its rays land
+  std::vector<uint8_t> steady;            // [camera, chunk]: find_steady
   uint64_t seen;                          // bit per pixel that is static there
   alignas(64) uint8_t own_planes[kPlanesOfPhase][kBlock];  // of the view
   bool whole;
