@@ -66,10 +66,9 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "volumes",
       [](In<float, 3> offsets, In<float, 2> centers, In<int32_t, 1> numbers, In<uint8_t, 4> colour,
-         In<uint8_t, 3> is_static, In<int32_t, 1> luma, const Grid& grid,
-         In<uint64_t, 3> active, In<int32_t, 2> start, In<int32_t, 2> pairs, In<int32_t, 2> counts,
-         In<uint8_t, 1> census_scale, uint8_t few, uint8_t colour_cap, uint8_t lone, uint8_t unseen,
-         Out<uint8_t, 2> out) {
+         In<uint8_t, 3> is_static, In<int32_t, 1> luma, const Grid& grid, In<uint64_t, 3> active,
+         In<int32_t, 2> start, In<int32_t, 2> pairs, In<int32_t, 2> counts, In<uint8_t, 1> census_scale,
+         uint8_t few, uint8_t colour_cap, uint8_t lone, uint8_t unseen, Out<uint8_t, 2> out) {
         std::vector<MatchedView> views;
         const int32_t* pair = pairs.data();
         uint8_t* to = out.data();
@@ -90,8 +89,8 @@ void bind_multiview(nb::module_& m) {
           to += static_cast<size_t>(kChunk) * begin[array.pixels()];
         }
         const PairCostParams params{census_scale.data(), few, colour_cap, lone, unseen};
-        volumes(views.data(), static_cast<int>(views.size()), colour.data(), is_static.data(),
-                luma.data(), grid, params);
+        volumes(views.data(), static_cast<int>(views.size()), colour.data(), is_static.data(), luma.data(),
+                grid, params);
       },
       free_lock);
 

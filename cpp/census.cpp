@@ -29,6 +29,12 @@ struct Neighbourhood {
 };
 constexpr Neighbourhood kAround;
 
+template <int n>
+struct Ones {
+  constexpr Ones() { std::fill_n(list, n, uint8_t{1}); }
+  uint8_t list[n]{};
+};
+
 // Takes BGR apart, and luma in 16 bits.
 SEEPAST_CLONES
 void split_row(const uint8_t* __restrict pixels, int width, const int32_t* luma, uint8_t* __restrict b,
@@ -120,11 +126,11 @@ inline void pack_bits(const uint8_t* flags, int count, uint8_t* out) {
   }
 }
 
-// What is not static, or lacks a valid bit: 1. `valid` are three planes and the static one.
+// What of a block is not static, or lacks a valid bit: 1. `valid` are three planes and the static one.
 SEEPAST_CLONES
 void find_unclear(const uint8_t* valid, int stride, uint8_t* __restrict unclear) {
   const uint8_t *v0 = valid, *v1 = v0 + stride, *v2 = v1 + stride, *is_static = v2 + stride;
-  for (int x = 0; x < stride; ++x)
+  for (int x = 0; x < kBlock; ++x)
     unclear[x] = (v0[x] & v1[x] & v2[x] & static_cast<uint8_t>(-is_static[x])) == 255 ? 0 : 1;
 }
 
@@ -137,7 +143,7 @@ Describer::Describer(const DescribedView& view, FeatureRing& ring, int camera)
       line((view.width + kBlock - 1) / kBlock * kBlock + 2 * kMargin),
       luma(static_cast<size_t>(kRows) * kPhases * line),
       is_static(static_cast<size_t>(kRows) * kPhases * line),
-      flags(ring.stride) {}
+      full(static_cast<size_t>(kRows) * kPhases * (line / kBlock)) {}
 
 void Describer::describe(int from, int to) {
   if (from > next + kReach ||
@@ -162,18 +168,23 @@ uint8_t* Describer::static_row(int y, int phase) {
   return is_static.data() + (static_cast<size_t>(y & (kRows - 1)) * kPhases + phase) * line + kMargin;
 }
 
+uint8_t* Describer::full_row(int y, int phase) {
+  return full.data() + (static_cast<size_t>(y & (kRows - 1)) * kPhases + phase) * (line / kBlock);
+}
+
 void Describer::sample(int y) {
   const int width = view.width;
   if (y < 0 || y >= view.height) {
     for (int phase = 0; phase < kPhases; ++phase) {
       std::fill_n(luma_row(y, phase), width, uint16_t{0});
       std::fill_n(static_row(y, phase), width, uint8_t{0});
+      std::fill_n(full_row(y, phase), line / kBlock, uint8_t{0});
     }
     return;
   }
   uint8_t *const blue = plane(y, plane_colour(0)), *const green = blue + ring.stride,
                  *const red = green + ring.stride;
-  uint16_t *const bright = luma_row(y, 0);
+  uint16_t* const bright = luma_row(y, 0);
   split_row(view.colour + static_cast<size_t>(y) * width * 3, width, view.luma, blue, green, red, bright);
   extend_edges(bright, width);  // outside the image luma and colours may be anything
   half_way(bright, width, luma_row(y, 1));
@@ -186,6 +197,11 @@ void Describer::sample(int y) {
   for (int x = 0; x < width; ++x) whole[x] = here[x];
   for (int x = 0; x + 1 < width; ++x) between[x] = here[x] & here[x + 1];
   between[width - 1] = 0;
+  constexpr Ones<kBlock + 2 * kReach> ones;
+  for (int phase = 0; phase < kPhases; ++phase)
+    for (int from = 0; from < width; from += kBlock)
+      full_row(y, phase)[from / kBlock] =
+          !std::memcmp(static_row(y, phase) + from - kReach, ones.list, sizeof(ones.list));
 }
 
 void Describer::census_row(int y, int phase) {
@@ -207,28 +223,54 @@ void Describer::census_row(int y, int phase) {
   }
 }
 
-// Which neighbours are static, at whole (phase 0) or fractional positions.
+// Which neighbours are static, at whole (phase 0) or half positions.
 void Describer::valid_row(int y, int phase) {
-  uint8_t* planes = plane(y, plane_valid(phase)) - kBlock;
-  std::memset(planes, 0, (kBytes + 1) * static_cast<size_t>(ring.stride));
+  for (int from = 0; from < view.width; from += kBlock)
+    if (clear_block(y, phase, from / kBlock)) {
+      for (int byte = 0; byte < kBytes; ++byte)
+        std::memset(plane(y, plane_valid(phase) + byte) + from, 255, kBlock);
+      std::memset(plane(y, plane_static(phase)) + from, 1, kBlock);
+      std::memset(bits(y, phase, from) + bits_unclear(ring.stride), 0, kBlock / 8);
+      std::memset(bits(y, phase, from) + bits_seen(ring.stride), 255, kBlock / 8);
+    } else {
+      valid_block(y, phase, from);
+    }
+}
+
+// Everything that its census looks at is static.
+bool Describer::clear_block(int y, int phase, int block) {
+  for (int dy = -kReach; dy <= kReach; ++dy)
+    if (!full_row(y + dy, phase)[block]) return false;
+  return true;
+}
+
+void Describer::valid_block(int y, int phase, int from) {
+  const int width = std::min(kBlock, view.width - from);
+  uint8_t* const valid = plane(y, plane_valid(phase)) + from;
   for (int byte = 0; byte < kBytes; ++byte) {
     const uint8_t* around[8];
     for (int i = 0; i < 8; ++i) {
       const auto [dy, dx] = kAround.list[8 * byte + i];
-      around[i] = static_row(y + dy, phase) + dx;
+      around[i] = static_row(y + dy, phase) + from + dx;
     }
-    gather_bits(around, view.width, plane(y, plane_valid(phase) + byte));
+    gather_bits(around, width, valid + byte * ring.stride);
   }
-  std::memcpy(plane(y, plane_static(phase)), static_row(y, phase), view.width);
-  uint8_t* const bits = ring.row(camera, y) + phase * bit_stride(ring.stride);
-  pack_bits(planes + kBytes * static_cast<size_t>(ring.stride), ring.stride,
-            bits + bits_seen(ring.stride));
-  find_unclear(planes, ring.stride, flags.data());
-  pack_bits(flags.data(), ring.stride, bits + bits_unclear(ring.stride));
+  uint8_t* const is_static = plane(y, plane_static(phase)) + from;
+  std::memcpy(is_static, static_row(y, phase) + from, width);
+  pack_bits(is_static, kBlock, bits(y, phase, from) + bits_seen(ring.stride));
+  uint8_t unclear[kBlock];
+  find_unclear(valid, ring.stride, unclear);
+  pack_bits(unclear, kBlock, bits(y, phase, from) + bits_unclear(ring.stride));
 }
 
 uint8_t* Describer::plane(int y, int number) const {
   return ring.row(camera, y) + static_cast<size_t>(number) * ring.stride + kBlock;
+}
+
+// Those of the columns from `from` on, which is a multiple of 8, in the first of a row's two kinds of bits
+// but for the bytes before it.
+uint8_t* Describer::bits(int y, int phase, int from) const {
+  return ring.row(camera, y) + phase * bit_stride(ring.stride) + (kBlock + from) / 8;
 }
 
 }  // namespace seepast

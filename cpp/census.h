@@ -9,9 +9,9 @@
 
 namespace seepast {
 
-// What matching reads of a row of one camera begins with kPlanes rows of `stride` bytes, column x at x + kBlock. The 24
-// bits of census and valid are three planes each. Outside the image nothing is valid or static and the rest
-// is not set. Phase p is the sample at x + p / 2.
+// What matching reads of a row of one camera begins with kPlanes rows of `stride` bytes, column x at x +
+// kBlock. The 24 bits of census and valid are three planes each. Outside the image nothing is valid or static
+// and the rest is not set. Phase p is the sample at x + p / 2.
 constexpr int kPhases = 2;
 constexpr int kBytes = 3;
 constexpr int kPlanesOfPhase = 3 * kBytes + 1;
@@ -39,7 +39,8 @@ struct FeatureRing {
         stride(feature_stride(width)),
         slots(rows),
         bytes((static_cast<size_t>(cameras) * slots + 1) * bytes_of_row(stride)) {
-    std::fill_n(outside() + bits_unclear(stride), kPhases * bit_stride(stride), uint8_t{255});
+    for (size_t slot = 0; slot <= static_cast<size_t>(cameras) * slots; ++slot)
+      std::fill_n(at(slot) + bits_unclear(stride), kPhases * bit_stride(stride), uint8_t{255});
   }
 
   uint8_t* row(int camera, int y) {
@@ -79,10 +80,14 @@ class Describer {
 
   uint16_t* luma_row(int y, int phase);
   uint8_t* static_row(int y, int phase);
+  uint8_t* full_row(int y, int phase);
   uint8_t* plane(int y, int number) const;
+  uint8_t* bits(int y, int phase, int from) const;
   void sample(int y);
   void census_row(int y, int phase);
   void valid_row(int y, int phase);
+  void valid_block(int y, int phase, int from);
+  bool clear_block(int y, int phase, int block);
 
   const DescribedView& view;
   FeatureRing& ring;
@@ -92,7 +97,7 @@ class Describer {
   size_t line;
   std::vector<uint16_t> luma;      // [kRows, kPhases, line]
   std::vector<uint8_t> is_static;  // [kRows, kPhases, line]
-  std::vector<uint8_t> flags;
+  std::vector<uint8_t> full;       // [kRows, kPhases, blocks]: static, and kReach columns beside it too
 };
 
 }  // namespace seepast

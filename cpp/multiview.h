@@ -10,7 +10,7 @@ namespace seepast {
 constexpr int kUnits = 32;        // disparities of views: uint16 in 32nds of a pixel over the array
 constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
-constexpr int kBlock = 64;        // pixels that are matched together, and empty columns on either side of a row
+constexpr int kBlock = 64;  // pixels that are matched together, and empty columns on either side of a row
 
 // What of the grid every pixel is matched at (candidates.py Candidates).
 constexpr int kChunk = 16;

@@ -1,9 +1,9 @@
 // Stage "volume" of the many-view method, of all views at once: while the rows that they share are in the
-// cache. Runs tile by tile, of 32 columns and two rows, and candidate by candidate, not pixel by pixel: at one
-// candidate a tile of a camera is read with one constant shift, so that everything vectorises, in bytes; the
-// costs of a chunk of candidates are then transposed into [x][d] for the pixels that want them. Tiles are that
-// small because what is asked for of a view often is in small pieces. Here is what does not depend on the
-// instructions; volume_rows.h has the rest.
+// cache. Runs tile by tile, of 32 columns and two rows, and candidate by candidate, not pixel by pixel: at
+// one candidate a tile of a camera is read with one constant shift, so that everything vectorises, in bytes;
+// the costs of a chunk of candidates are then transposed into [x][d] for the pixels that want them. Tiles are
+// that small because what is asked for of a view often is in small pieces. Here is what does not depend on
+// the instructions; volume_rows.h has the rest.
 #include <algorithm>
 #include <cstring>
 #if defined(__x86_64__)
@@ -75,8 +75,7 @@ struct Columns {
       for (int first = from; first < to;) {
         int last = to;
         for (int k = 0; k < cameras; ++k)
-          of_runs.push_back(
-              place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
+          of_runs.push_back(place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
         runs[t].push_back({first - from, last - from, i});
         first = last;
       }
@@ -86,7 +85,8 @@ struct Columns {
       const size_t first = places[t].size();
       for (size_t r = 0; r < runs[t].size(); ++r) places[t].push_back(of_runs[r * cameras + k]);
       for (int i = 0; i < count; i += kChunk)
-        steps[t].push_back(steps_of(places[t].data() + first + starts[t][i], starts[t][i + kChunk] - starts[t][i]));
+        steps[t].push_back(
+            steps_of(places[t].data() + first + starts[t][i], starts[t][i + kChunk] - starts[t][i]));
     }
     for (const Place& place : places[t]) at[t].push_back(place.at);
   }
@@ -106,13 +106,14 @@ struct Columns {
   // Where the tile that starts at `from` is read for column `first`; cuts `last` to the columns that have its
   // shift.
   Place place_of(const Array& array, const RayShift& shift, int from, int first, int& last) const {
-    int halves = 0, end = last;
-    for_each_run(
-        first, last, [&](int x) { return half_offset(ray_dx(shift, x, array.cx)); },
-        [&](int run, int to, int found) {
-          if (run == first) end = to, halves = found;
-        });
-    last = end;
+    int halves = half_offset(ray_dx(shift, first, array.cx));
+    if (shift.zoom != 0) {
+      int end = last;
+      for_each_run(
+          first, last, [&](int x) { return half_offset(ray_dx(shift, x, array.cx)); },
+          [&](int run, int to, int) { end = run == first ? to : end; });
+      last = end;
+    }
     const int column = (halves >> 1) + from + kBlock;
     if (column < 0 || column > stride - kColumns) return kNowhere;
     const int phase = halves & 1;
@@ -240,15 +241,48 @@ struct Matcher {
   std::vector<std::unique_ptr<RowMatcher>> matchers;
 };
 
+// Hands out strips to threads, which mostly go on where they are: what they described of the rows there is of
+// use again.
+class Strips {
+ public:
+  explicit Strips(int count) : taken(count) {}
+
+  // One that nobody had: the one behind `last` if there is such; -1 where none is left.
+  int next(int last) {
+    int found;
+#pragma omp critical(strips)
+    {
+      found = free(last + 1) ? last + 1 : middle_of_longest();
+      if (found >= 0) taken[found] = true;
+    }
+    return found;
+  }
+
+ private:
+  bool free(int strip) const { return strip < static_cast<int>(taken.size()) && !taken[strip]; }
+
+  int middle_of_longest() const {
+    const int count = static_cast<int>(taken.size());
+    int found = -1, most = 0;
+    for (int from = 0, to; from < count; from = to + 1) {
+      for (to = from; free(to);) ++to;
+      if (to - from > most) most = to - from, found = from + most / 2;
+    }
+    return found;
+  }
+
+  std::vector<bool> taken;
+};
+
 template <class RowMatcher>
 void match_rows(const std::vector<Volume>& volumes, const std::vector<DescribedView>& described,
                 const Drop& drop) {
   const int height = described[0].height;
+  Strips strips((height + kStrip - 1) / kStrip);
 #pragma omp parallel
   {
     Matcher<RowMatcher> matcher(volumes, described, drop);
-#pragma omp for schedule(dynamic, 1)
-    for (int strip = 0; strip < (height + kStrip - 1) / kStrip; ++strip)
+    for (int strip = strips.next(-1); strip >= 0; strip = strips.next(strip))
       for (int y = kStrip * strip; y < std::min(height, kStrip * (strip + 1)); y += kTileRows)
         matcher.match_rows(y, std::min(height, y + kTileRows));
   }
@@ -277,8 +311,8 @@ void volumes(const MatchedView* views, int count, const uint8_t* colour, const u
   const Array& array = views[0].array;
   std::vector<DescribedView> described;
   for (int k = 0; k < array.cameras; ++k)
-    described.push_back({array.height, array.width, colour + 3 * k * array.pixels(),
-                         is_static + k * array.pixels(), luma});
+    described.push_back(
+        {array.height, array.width, colour + 3 * k * array.pixels(), is_static + k * array.pixels(), luma});
   const Drop drop = drop_of(all);
 #if defined(SEEPAST_V4_BYTES)
   if (simd() == Simd::avx512_bytes) return match_rows<v4_bytes::RowMatcher>(all, described, drop);

@@ -276,7 +276,8 @@ struct RowMatcher {
       const Place place = columns.places[t][k * columns.runs[t].size() + columns.starts[t][candidate]];
       if (k == v.view.number || place.outside) continue;
       for (int j = 0; j < kTileRows; ++j) {
-        const uint8_t* at = rows.of(k)[drops[j][k * columns.count + candidate] + j] + place.at % columns.stride;
+        const uint8_t* at =
+            rows.of(k)[drops[j][k * columns.count + candidate] + j] + place.at % columns.stride;
         for (int plane = 0; plane < kPlanes; ++plane, at += columns.stride) __builtin_prefetch(at);
       }
     }
@@ -334,8 +335,8 @@ struct RowMatcher {
                  candidate = static_cast<size_t>(k) * columns.count + kChunk * chunk;
     const Place* const places = columns.places[t].data() + first;
     const int32_t* const at = columns.at[t].data() + first;
-    const uint8_t *const row = rows.of(k)[drops[0][candidate]],
-                  *const below = rows.of(k)[drops[1][candidate] + 1];
+    const uint8_t *const row = rows.of(k)[drops[0][candidate]], *const below =
+                                                                    rows.of(k)[drops[1][candidate] + 1];
     for (int i = 0; i < kChunk; ++i) tiles[k][0][i] = row + at[i];
     for (int i = 0; i < kChunk; ++i) tiles[k][1][i] = below + at[i];
     uint32_t is_clear = 0, is_blind = 0;
@@ -363,7 +364,8 @@ struct RowMatcher {
       first[i] = row + place.at, second[i] = below + place.at;
       if (!i || first[i] != first[i - 1] || second[i] != second[i - 1]) elsewhere |= 1u << i;
       const uint32_t all = all_of(row, below, place);
-      is_clear |= static_cast<uint32_t>(all == kClear) << i, is_blind |= static_cast<uint32_t>(all == kBlind) << i;
+      is_clear |= static_cast<uint32_t>(all == kClear) << i, is_blind |= static_cast<uint32_t>(all == kBlind)
+                                                                         << i;
     }
     moved[k] = elsewhere, clear[k] = is_clear, blind[k] = is_blind;
   }
@@ -373,7 +375,8 @@ struct RowMatcher {
   static constexpr uint32_t kBlind = 2;  // no sample is
   SEEPAST_INLINE uint32_t all_of(const uint8_t* row, const uint8_t* below, const Place& place) const {
     const auto any = [&](int bits) {
-      return bits_from(row + bits + place.bits, place.skip) | bits_from(below + bits + place.bits, place.skip);
+      return bits_from(row + bits + place.bits, place.skip) |
+             bits_from(below + bits + place.bits, place.skip);
     };
     if (!any(bits_unclear(v.columns.stride))) return kClear;
     return any(bits_seen(v.columns.stride)) ? 0 : kBlind;
@@ -393,7 +396,8 @@ struct RowMatcher {
   }
 
   // Costs of pairs at the first `count` runs. Near cameras move by less than half a pixel from candidate to
-  // candidate: what was found of such pairs stays. Returns a bit per run: some pair has a cost in every pixel.
+  // candidate: what was found of such pairs stays. Returns a bit per run: some pair has a cost in every
+  // pixel.
   SEEPAST_INLINE uint32_t match_pairs(const Pairs& pairs, Found* found, int count, int x) {
     uint32_t sure = 0;
     const int32_t* pair = pairs.cameras;
@@ -423,12 +427,12 @@ struct RowMatcher {
       }
       const Tile first = kOwn ? own : tile_of(a, i), second = tile_of(b, i);
       const Sample m = kOwn ? of_own : Sample(first, x), n(second, x);
-      store(found.costs[i] + x,
-            is_clear >> i & 1 ? pair_of_clear(m, n) : pair_cost(m, n, first, second, x));
+      store(found.costs[i] + x, is_clear >> i & 1 ? pair_of_clear(m, n) : pair_cost(m, n, first, second, x));
     }
   }
 
-  // The costs of run i: of pixels that the view sees itself (`mine`), that it does not (`theirs`), or of both.
+  // The costs of run i: of pixels that the view sees itself (`mine`), that it does not (`theirs`), or of
+  // both.
   SEEPAST_INLINE Lanes cost_of(int x, int i, bool mine, bool theirs, bool sure) {
     Lanes cost = all(kNoPair);
     if (mine) cost = smaller_half(with_own, x, i, v.view.with_own.count);
@@ -454,13 +458,11 @@ struct RowMatcher {
   // ... and anywhere.
   SEEPAST_INLINE Lanes pair_cost(const Sample& a, const Sample& b, const Tile& of_a, const Tile& of_b,
                                  int x) const {
-    const Lanes k0 = of_a.known(0, x) & of_b.known(0, x),
-                k1 = of_a.known(1, x) & of_b.known(1, x),
+    const Lanes k0 = of_a.known(0, x) & of_b.known(0, x), k1 = of_a.known(1, x) & of_b.known(1, x),
                 k2 = of_a.known(2, x) & of_b.known(2, x);
     const Lanes scale = scales.of(bits_of(k0, k1, k2));
-    const Lanes differing =
-        bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
-                (a.census(2) ^ b.census(2)) & k2);
+    const Lanes differing = bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
+                                    (a.census(2) ^ b.census(2)) & k2);
     const Lanes scaled = eighths(differing, scale);
     const Lanes census = choose(holds(scale), scaled, all(v.params.few));
     const Lanes both = holds(of_a.is_static(x) & of_b.is_static(x));
