@@ -53,9 +53,8 @@ SEEPAST_HD float ray_dy(const RayShift& r, int y, float cy) {
   return (static_cast<float>(y) - cy) * r.zoom - r.y + r.view_y;
 }
 
-// Matching looks at quarter pixels in x,
+// Matching of preset `paper` looks at quarter pixels in x, of the many-view method at half pixels ...
 SEEPAST_HD int quarter_offset(float dx) { return floor_int(4.0f * dx + 0.5f); }
-// or, in the many-view method, at half pixels ...
 SEEPAST_HD int half_offset(float dx) { return floor_int(2.0f * dx + 0.5f); }
 // ... and at whole rows in y.
 SEEPAST_HD int whole_offset(float dy) { return floor_int(dy + 0.5f); }

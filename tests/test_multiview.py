@@ -13,9 +13,21 @@ from arrays import Scene, make_scene, noise_scene
 from seepast import Options, _core, multiview
 from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
+from seepast.backends.reference import half_positions
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.frames import Frame
-from seepast.many import CONFIDENT, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, cubic_weights
+from seepast.many import (
+    CONFIDENT,
+    CUBIC,
+    LUMA,
+    REACH,
+    UNITS,
+    PairCosts,
+    Penalties,
+    VoteWeights,
+    camera_pairs,
+    cubic_weights,
+)
 from seepast.pipeline import Clock
 from seepast.surfaces import looks, static_span, surfaces
 
@@ -106,6 +118,38 @@ def threads():
     _core.set_threads(3)
     yield
     _core.set_threads(0)
+
+
+# ------------------------------------------------------------------------------------- what is compared, and where
+
+
+def test_samples_are_pixels_and_lie_half_way_between():
+    c = case("noise")
+    found = reference.describe(c.colour, c.static)
+    padded, width = np.pad(c.colour.astype(int), ((0, 0), (0, 0), (1, 2), (0, 0)), mode="edge"), c.colour.shape[2]
+
+    def half_way(values: np.ndarray) -> np.ndarray:
+        first, second, third, fourth = (values[:, :, i : i + width] for i in range(4))
+        return (9 * (second + third) - (first + fourth) + 8) >> 4
+
+    assert_same(found.colour[:, 0], c.colour)
+    assert_same(found.colour[:, 1], half_way(padded).clip(0, 255).astype(np.uint8))
+    luma = padded @ LUMA
+    two_left = REACH.index((0, -2))
+    for p, samples in enumerate((luma[:, :, 1 : 1 + width], half_way(luma).clip(0, 65535))):
+        assert_same((found.census[:, p, :, 2:] >> two_left & 1).astype(bool), samples[..., :-2] < samples[..., 2:])
+    both = np.append(c.static[..., :-1] & c.static[..., 1:], np.zeros((*c.static.shape[:2], 1), bool), axis=-1)
+    assert_same(found.static, np.stack([c.static, both], 1))
+
+
+@pytest.mark.parametrize(("reference_camera", "d", "halves"), [
+    (0, 0.25, 0), (0, 0.2501, -1), (0, 0.75, -1), (0, 0.76, -2), (1, 0.24, 0), (1, 0.25, 1), (1, 0.75, 2), (1, 7, 14),
+])  # fmt: skip
+def test_rays_end_at_the_nearest_half_pixel(reference_camera, d, halves):
+    geometry = make_scene(2, (20, 5), reference=reference_camera).geometry
+    x = np.arange(20)[None]
+    xh, row = half_positions(geometry, 1 - reference_camera, x, np.full_like(x, 3), np.float32(d))
+    assert_same((xh, row), ((2 * x + halves).astype(np.int32), np.full_like(x, 3, np.int32)))
 
 
 # -------------------------------------------------------------------------------------------- backends agree
@@ -443,6 +487,7 @@ def test_camera_pairs():
 
 
 def test_cubic_weights_are_keys():
-    for t in (0.0, 0.25, 0.5, 0.75):
-        exact = reference.CUBIC[int(4 * t)] / 128
-        assert np.allclose(cubic_weights(np.float32(t)), exact, atol=1e-6)
+    assert np.allclose(cubic_weights(np.float32(0)), [0, 1, 0, 0], atol=1e-6)
+    assert np.allclose(cubic_weights(np.float32(0.25)), np.array([-9, 111, 29, -3]) / 128, atol=1e-6)
+    assert np.allclose(cubic_weights(np.float32(0.5)), CUBIC / 128, atol=1e-6)
+    assert np.allclose(cubic_weights(np.float32(0.75)), np.array([-3, 29, 111, -9]) / 128, atol=1e-6)

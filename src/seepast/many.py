@@ -13,8 +13,9 @@ NO_PAIR = 255  # in costs: no two static rays
 CONFIDENT = 20  # confidence is counted in 20ths
 FULL_VOTE = 2 * CONFIDENT * UNITS  # units of one full vote of a confident view
 
-# Keys' cubic (A = -1/2) at 0, 1/4, 1/2, 3/4 between the second and third of four pixels, in 128ths: exact
-CUBIC = np.array([[0, 128, 0, 0], [-9, 111, 29, -3], [-8, 72, 72, -8], [-3, 29, 111, -9]], np.int32)
+# Keys' cubic (A = -1/2) half way between the second and third of four pixels, in 128ths: exact. C++ and CUDA write
+# the rounded sample out, (9 (b + c) - (a + d) + 8) >> 4: the same number.
+CUBIC = np.array([-8, 72, 72, -8], np.int32)
 LUMA = np.array([29, 150, 77], np.int32)  # of B, G, R in 256ths
 # neighbours (dy, dx) of the census: every other pixel of a 7 x 7 window, like a chessboard
 REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-3, 4) if (dy + dx) % 2 == 0 and (dy, dx) != (0, 0))

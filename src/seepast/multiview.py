@@ -120,14 +120,14 @@ def at_level(
         candidates = around(before, area, level, grid, o, backend)
         found = np.zeros_like(static, np.uint16) if before is None else before.at(level, backend)
         matched = [k for k in range(K) if candidates[k].chunks]
-    with clock("describe"):  # census and colour at quarter-pixel phases
+    with clock("describe"):  # census and colour at pixels and half way between
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
         of_matched = backend.volumes(
             features, [views[k] for k in matched], [candidates[k] for k in matched], PairCosts.of(o)
         )
         costs = dict(zip(matched, of_matched, strict=True))
-        del features  # a fifth of the memory
+        del features  # a tenth of the memory
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
         # where views are matched around people only, the coarser level told the others all that this one knows
         voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]

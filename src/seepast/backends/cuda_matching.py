@@ -17,7 +17,7 @@ import numpy as np
 from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..geometry import ArrayGeometry
 from ..gpu import device, tables
-from ..many import CUBIC, LUMA, UNITS, PairCosts, Penalties
+from ..many import LUMA, UNITS, PairCosts, Penalties
 
 __all__ = [
     "aggregate",
@@ -38,10 +38,10 @@ VOLUME_OF = ((5, "volume_5"), (6, "volume_6"), (9, "volume_9"), (16, "volume_16"
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Every view at its four quarter-pixel phases: gpu/kernels/matching.h.
+    """Every view at its pixels and half way between them: gpu/kernels/matching.h.
 
-    samples  uint32 [K, 4, H, W, 2]: census; colour and flags
-    valid    uint32 [K, 4, H, W]: static neighbours
+    samples  uint32 [K, 2, H, W, 2]: census; colour and flags
+    valid    uint32 [K, 2, H, W]: static neighbours
     """
 
     samples: Any
@@ -76,10 +76,9 @@ def _int(n: float) -> np.int32:
 
 def describe(colour: Any, static: Any) -> Features:
     here, (K, height, width) = device.current(), static.shape
-    samples = here.xp.empty((K, 4, height, width, 2), np.uint32)
-    valid = here.xp.empty((K, 4, height, width), np.uint32)
-    weights = tables.constant(np.concatenate([CUBIC.ravel(), LUMA]))
-    args = [colour, static, _int(height), _int(width), weights, samples, valid]
+    samples = here.xp.empty((K, 2, height, width, 2), np.uint32)
+    valid = here.xp.empty((K, 2, height, width), np.uint32)
+    args = [colour, static, _int(height), _int(width), tables.constant(LUMA), samples, valid]
     here.launch("census", "census", grid=_tiles((height, width), K), block=TILE, args=args)
     return Features(samples, valid)
 

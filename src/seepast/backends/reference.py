@@ -86,6 +86,13 @@ def quarter_positions(geometry: ArrayGeometry, camera: int, x, y, d) -> tuple[np
     return xq, np.asarray(y, np.int32) + np.floor(dy + np.float32(0.5)).astype(np.int32)
 
 
+def half_positions(geometry: ArrayGeometry, camera: int, x, y, d) -> tuple[np.ndarray, np.ndarray]:
+    """Where the many-view method looks in camera k: x in half pixels, y in whole rows, both int32."""
+    dx, dy = ray_offsets(geometry, camera, x, y, d)
+    xh = 2 * np.asarray(x, np.int32) + np.floor(np.float32(2) * dx + np.float32(0.5)).astype(np.int32)
+    return xh, np.asarray(y, np.int32) + np.floor(dy + np.float32(0.5)).astype(np.int32)
+
+
 def inside(xq: np.ndarray, row: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """True where both pixels that a quarter position interpolates between lie in the image."""
     last = (xq >> 2) + ((xq & 3) > 0)

@@ -48,7 +48,7 @@ from .host import (
     three_channels,
 )
 from .one_by_one import OneByOne
-from .reference import fill_unseen, quarter_positions, ray_offsets
+from .reference import fill_unseen, half_positions, ray_offsets
 
 __all__ = [
     "aggregate",
@@ -94,12 +94,12 @@ everything = Candidates.all
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Every view at its four quarter-pixel phases p: sample (p, x) lies at x + p / 4.
+    """Every view at its pixels and half way between them, phases p = 0, 1: sample (p, x) lies at x + p / 2.
 
-    colour  uint8 [K, 4, H, W, 3]
-    census  uint32 [K, 4, H, W]: bit per neighbour (REACH), set where it is darker than the sample
-    valid   uint32 [K, 4, H, W]: bit per neighbour, set where it is static
-    static  bool [K, 4, H, W]: every pixel that the sample lies between is static
+    colour  uint8 [K, 2, H, W, 3]
+    census  uint32 [K, 2, H, W]: bit per neighbour (REACH), set where it is darker than the sample
+    valid   uint32 [K, 2, H, W]: bit per neighbour, set where it is static
+    static  bool [K, 2, H, W]: both pixels that the sample lies between are static; at phase 0 the pixel itself
     """
 
     colour: np.ndarray
@@ -109,19 +109,19 @@ class Features:
 
 
 def describe(colour: np.ndarray, static: np.ndarray) -> Features:
-    """Cubic samples (Keys 1981, A = -1/2) at quarter pixels, and their census (Zabih & Woodfill 1994).
+    """Pixels and cubic samples (Keys 1981, A = -1/2) half way between them, and their census (Zabih & Woodfill 1994).
 
     The census compares 16-bit luma of samples that were never rounded to 8 bits: the faint texture of plain walls is
     evidence. Neighbours that are not static, or not in the image, have no valid bit.
     """
     K, height, width, _ = colour.shape
-    phases = np.empty((K, 4, height, width, 3), np.uint8)
-    census = np.zeros((K, 4, height, width), np.uint32)
+    phases = np.empty((K, 2, height, width, 3), np.uint8)
+    census = np.zeros((K, 2, height, width), np.uint32)
     valid, usable = np.zeros_like(census), np.empty(census.shape, bool)
     padded = np.pad(colour.astype(np.int32), ((0, 0), (0, 0), (1, 2), (0, 0)), mode="edge")
+    around = [padded[:, :, i : i + width] for i in range(4)]
     beside = np.pad(static[..., 1:], ((0, 0), (0, 0), (0, 1)))
-    for p in range(4):
-        value = np.tensordot(CUBIC[p], [padded[:, :, i : i + width] for i in range(4)], 1)  # 128 x the sample
+    for p, value in enumerate((128 * around[1], np.tensordot(CUBIC, around, 1))):  # 128 x the sample
         phases[:, p] = ((value + 64) >> 7).clip(0, 255)
         luma = (((value * LUMA).sum(-1) + 64) >> 7).clip(0, 65535)
         usable[:, p] = static & beside if p else static
@@ -201,10 +201,10 @@ def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
     """(census, valid, colour, static) of camera k at x^k for every pixel of the view."""
     height, width = features.static.shape[-2:]
     y, x = np.mgrid[:height, :width]
-    xq, row = quarter_positions(geometry, k, x, y, d)
-    column = xq >> 2
+    xh, row = half_positions(geometry, k, x, y, d)
+    column = xh >> 1
     there = (column >= 0) & (column < width) & (row >= 0) & (row < height)
-    at = k, xq & 3, row.clip(0, height - 1), column.clip(0, width - 1)
+    at = k, xh & 1, row.clip(0, height - 1), column.clip(0, width - 1)
     return features.census[at], features.valid[at], features.colour[at].astype(np.int32), there & features.static[at]
 
 

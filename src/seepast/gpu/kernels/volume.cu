@@ -35,13 +35,13 @@ extern "C" __global__ void __launch_bounds__(kThreads)
   const bool finite = shift.zoom > -1e30f && shift.zoom < 1e30f;
   if (!finite) shift = {0, 0, 0, -1e30f, -1e30f};  // the point lies beside the camera: no pixel sees it
   reinterpret_cast<Shift*>(shifts)[i] = {shift.zoom,   shift.x,        shift.y, shift.view_x,
-                                         shift.view_y, 4 * k * height, {0, 0}};
+                                         shift.view_y, 2 * k * height, {0, 0}};
 }
 
 // What matching needs of all cameras; one view's geometry.
 struct Cameras {
-  const uint2* samples;   // [K, 4, H, W]
-  const uint32_t* valid;  // [K, 4, H, W]
+  const uint2* samples;   // [K, 2, H, W]
+  const uint32_t* valid;  // [K, 2, H, W]
   const Shift* shifts;    // [count, K] of the view
   const uint8_t* census_scale;
   int count, height, width;
@@ -61,14 +61,14 @@ __device__ inline Ray ray_at(const Cameras& c, const Shift* __restrict__ shift, 
   const float4* words = reinterpret_cast<const float4*>(shift);
   const float4 s = words[0], more = words[1];
   const RayShift r{s.x, s.y, s.z, s.w, more.x};
-  // Times four is exact, so that this is quarter_offset. Sums of what is far outside wrap, and stay outside.
-  const unsigned dx = __float2int_rd(__fmaf_rn(4.0f, ray_dx(r, x, c.cx), 0.5f));
+  // Times two is exact, so that this is half_offset. Sums of what is far outside wrap, and stay outside.
+  const unsigned dx = __float2int_rd(__fmaf_rn(2.0f, ray_dx(r, x, c.cx), 0.5f));
   const unsigned dy = __float2int_rd(ray_dy(r, y, c.cy) + 0.5f);
-  const int quarter = static_cast<int>(4u * x + dx), row = static_cast<int>(y + dy);
-  const int column = quarter >> 2;
+  const int half = static_cast<int>(2u * x + dx), row = static_cast<int>(y + dy);
+  const int column = half >> 1;
   const bool there = static_cast<unsigned>(column) < static_cast<unsigned>(c.width) &&
                      static_cast<unsigned>(row) < static_cast<unsigned>(c.height) && wanted;
-  const int index = there ? (__float_as_int(more.y) + (quarter & 3) * c.height + row) * c.width + column : 0;
+  const int index = there ? (__float_as_int(more.y) + (half & 1) * c.height + row) * c.width + column : 0;
   const uint2 sample = c.samples[static_cast<unsigned>(index)];
   return {sample.x, there ? sample.y : 0, index};
 }
@@ -213,7 +213,7 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
   uint64_t rest = reinterpret_cast<const uint64_t*>(addresses[0])[pixel];
   if (!rest) return;
   uint4* out = reinterpret_cast<uint4*>(addresses[2]) + reinterpret_cast<const int32_t*>(addresses[1])[pixel];
-  const int at = 4 * view * plane + pixel;
+  const int at = 2 * view * plane + pixel;
   const uint2 sample = c.samples[static_cast<unsigned>(at)];
   const Ray own{sample.x, sample.y, at};
   const bool sees = own.colour & kStatic;
