@@ -82,7 +82,7 @@ class Counted:
         return SimpleNamespace(**{**vars(cpu_multiview), **counting})
 
     def describe(self, colour, static):
-        self.kernels["census"].add(static.size, 830, 52, 1)
+        self.kernels["census"].add(static.size, 550, 28, 1)
         return cpu_multiview.describe(colour, static)
 
     def windows_of_views(self, disparity, where, ratio, grid, reach, spread, shape):
@@ -94,7 +94,7 @@ class Counted:
         for of in candidates:
             per_ray = 58 if self.cameras <= 5 else 75
             self.kernels["volume"].add(CHUNK * of.chunks, per_ray * (self.cameras - 1), 1)
-            self.kernels["volume"].add(of.active.size, 0, 32 * self.cameras)
+            self.kernels["volume"].add(of.active.size, 0, 16 * self.cameras)
         self.kernels["volume"].launches += 2
         return cpu_multiview.volumes(features, views, candidates, costs)
 
