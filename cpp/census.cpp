@@ -1,4 +1,4 @@
-// Stage "describe" of the many-view method: cubic samples at quarter pixels, their census and which of it is
+// Stage "describe" of the many-view method: cubic samples at half pixels, their census and which of it is
 // static, row by row.
 #include "census.h"
 
