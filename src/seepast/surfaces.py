@@ -48,7 +48,7 @@ def surfaces(
     penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
     features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
     volumes = backend.volumes(features, level.views, candidates, costs)
-    found = backend.aggregates(volumes, level.colour, level.static, candidates, penalties)
+    found = backend.aggregates(volumes, level.colour, level.static, candidates, penalties, o.paths)
     _, agree = backend.graded_of_views(found, level.static, level.views, round(UNITS * o.tolerance), 0, 0)
     return Surfaces(scale, found, agree)
 
