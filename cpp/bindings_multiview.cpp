@@ -137,12 +137,12 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "graded",
       [](In<float, 2> offsets, float cx, float cy, int view, In<uint16_t, 2> d, In<uint16_t, 3> disparities,
-         In<uint8_t, 3> is_static, In<uint64_t, 2> active, int tolerance, uint8_t confident, uint8_t lone,
+         In<uint8_t, 3> is_static, In<int32_t, 1> start, int tolerance, uint8_t confident, uint8_t lone,
          uint8_t doubtful, Out<uint8_t, 2> confidence, Out<uint8_t, 2> sure) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
         if (array.cameras < 2) throw std::invalid_argument("one camera has no witnesses");
         graded(array, view, d.data(), disparities.data(), is_static.data(),
-               active.size() ? active.data() : nullptr, tolerance, Grades{confident, lone, doubtful},
+               start.size() ? start.data() : nullptr, tolerance, Grades{confident, lone, doubtful},
                confidence.data(), sure.data());
       },
       free_lock);

@@ -80,10 +80,10 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 struct Grades {
   uint8_t confident, lone, doubtful;  // in 20ths
 };
-// What witnesses make of one of the views: sure where any other agrees. Where `active` (of
-// Chunks; null: nowhere) is 0 both are.
+// What witnesses make of one of the views: sure where any other agrees. Pixels without chunks (`start` of
+// Chunks; null: none is) get 0 of both.
 void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, const uint64_t* active, int tolerance, const Grades& grades,
+            const uint8_t* is_static, const int32_t* start, int tolerance, const Grades& grades,
             uint8_t* confidence, uint8_t* sure);
 
 struct VoteWeights {

@@ -41,27 +41,32 @@ struct Landing {
     std::fill(d.begin() + width, d.end(), row[width - 1]);
     span(d.data(), room, &low, &high);
   }
-  // Only those of `from` that nothing was found of; `found` is 0 or 1. Returns how many they are.
-  int leave(const Landing& from, int many, const uint8_t* found) {
-    const int32_t* from_x = from.x.data();
-    const uint16_t* from_d = from.d.data();
-    int32_t* to_x = x.data();
-    uint16_t* to_d = d.data();
+  // Only the first `many` of x.
+  void pick(const uint16_t* row, int many) {
+    for (int i = 0; i < many; ++i) d[i] = row[x[i]];
+    pad(many, d[many - 1]);
+    span(d.data(), count, &low, &high);
+  }
+  // Of the first `many` only those that nothing was found of, and what is `said` of them; `found` is 0 or 1.
+  // Returns how many they are.
+  int leave(int many, const uint8_t* found, uint8_t* said) {
     int n = 0;
     for (int first = 0; first < many; first += 8) {  // there is room for as many
       uint64_t eight;
       std::memcpy(&eight, found + first, sizeof eight);
       if (eight == 0x0101010101010101u) continue;
       for (int i = first; i < std::min(first + 8, many); ++i) {
-        to_x[n] = from_x[i];
-        to_d[n] = from_d[i];
+        x[n] = x[i], d[n] = d[i], said[n] = said[i];
         n += !found[i];
       }
     }
-    count = (n + kLanes - 1) / kLanes * kLanes;
-    low = from.low, high = from.high;
-    for (int i = n; i < count; ++i) to_x[i] = 0, to_d[i] = low;
+    pad(n, low);
     return n;
+  }
+  void pad(int many, uint16_t disparity) {
+    count = (many + kLanes - 1) / kLanes * kLanes;
+    std::fill(x.begin() + many, x.begin() + count, 0);
+    std::fill(d.begin() + many, d.begin() + count, disparity);
   }
   int room, count;
   uint16_t low = 0, high = 0;  // of d
@@ -171,15 +176,19 @@ void add_labels(const uint32_t* __restrict seen, const int32_t* __restrict expec
   }
 }
 
-SEEPAST_CLONES
-void grade(const uint8_t* __restrict agree, const uint8_t* __restrict farther,
-           const uint8_t* __restrict is_static, size_t count, uint8_t confident, uint8_t lone,
-           uint8_t doubtful, uint8_t* __restrict out) {
-  for (size_t i = 0; i < count; ++i) {
-    const uint8_t alone = farther[i] ? doubtful : lone;
-    const uint8_t c = agree[i] ? confident : alone;
-    out[i] = is_static[i] ? c : static_cast<uint8_t>(0);
+// The columns of a row that have chunks, which start at start[x]. Returns how many they are.
+int matched(const int32_t* start, int width, int32_t* columns) {
+  constexpr int kRun = 16;
+  int n = 0;
+  for (int first = 0; first < width; first += kRun) {
+    const int last = std::min(first + kRun, width);
+    if (start[first] == start[last]) continue;
+    for (int x = first; x < last; ++x) {
+      columns[n] = x;
+      n += start[x] != start[x + 1];
+    }
   }
+  return n;
 }
 
 }  // namespace
@@ -234,49 +243,41 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
 
 // Most pixels agree with the nearest camera, and need no other.
 void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, const uint64_t* active, int tolerance, const Grades& grades,
+            const uint8_t* is_static, const int32_t* start, int tolerance, const Grades& grades,
             uint8_t* confidence, uint8_t* sure) {
   std::vector<int> others;
   for (int k = 0; k < array.cameras; ++k)
     if (k != view) others.push_back(k);
   std::stable_sort(others.begin(), others.end(),
                    [view](int a, int b) { return std::abs(a - view) < std::abs(b - view); });
+  const int width = array.width;
 #pragma omp parallel
   {
-    Landing all(array.width), rest(array.width);
-    std::vector<uint8_t> skipped(all.room), same(all.room), beyond(all.room), agree(all.room),
-        farther(all.room);
+    Landing rest(width);
+    std::vector<uint8_t> agree(rest.room), farther(rest.room);
 #pragma omp for schedule(dynamic, 8)
     for (int y = 0; y < array.height; ++y) {
-      const size_t row = static_cast<size_t>(y) * array.width;
-      int left = array.width;
-      for (int x = 0; active && x < array.width; ++x) left -= skipped[x] = !active[row + x];
-      if (!left) {
-        std::fill_n(confidence + row, array.width, uint8_t{0});
-        std::fill_n(sure + row, array.width, uint8_t{0});
-        continue;
-      }
-      std::fill(same.begin(), same.end(), 0);
-      std::fill(beyond.begin(), beyond.end(), 0);
-      all.start(d + row, array.width);
-      left = rest.leave(all, array.width, skipped.data());
+      const size_t row = static_cast<size_t>(y) * width;
+      uint8_t *grade = confidence + row, *known = sure + row;
+      std::fill_n(grade, width, uint8_t{0});
+      std::fill_n(known, width, uint8_t{0});
+      std::iota(rest.x.begin(), rest.x.begin() + width, 0);
+      int left = start ? matched(start + row, width, rest.x.data()) : width;
+      if (!left) continue;
+      for (int i = 0; i < left; ++i) grade[rest.x[i]] = grades.confident, known[rest.x[i]] = 1;
+      rest.pick(d + row, left);
+      std::fill_n(farther.begin(), rest.count, uint8_t{0});
       for (size_t j = 0; left && j < others.size(); ++j) {
         look(array, others[j], y, disparities, is_static, rest);
-        std::fill_n(agree.begin(), rest.count, 0);
-        std::fill_n(farther.begin(), rest.count, 0);
+        std::fill_n(agree.begin(), rest.count, uint8_t{0});
         count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
                         farther.data());
-        for (int i = 0; i < left; ++i) {
-          same[rest.x[i]] = agree[i];
-          beyond[rest.x[i]] |= farther[i];
-        }
-        left = j + 1 < others.size() ? rest.leave(rest, left, agree.data()) : 0;
+        left = rest.leave(left, agree.data(), farther.data());
       }
-      grade(same.data(), beyond.data(), is_static + view * array.pixels() + row, array.width,
-            grades.confident, grades.lone, grades.doubtful, confidence + row);
-      for (int x = 0; x < array.width; ++x) sure[row + x] = same[x] != 0;
-      for (int x = 0; active && x < array.width; ++x)
-        confidence[row + x] = skipped[x] ? 0 : confidence[row + x];
+      for (int i = 0; i < left; ++i)
+        grade[rest.x[i]] = farther[i] ? grades.doubtful : grades.lone, known[rest.x[i]] = 0;
+      const uint8_t* open = is_static + view * array.pixels() + row;
+      for (int x = 0; x < width; ++x) grade[x] = open[x] ? grade[x] : uint8_t{0};
     }
   }
 }

@@ -61,9 +61,8 @@ __all__ = [
 _views = OneByOne(sys.modules[__name__])
 votes_of_views = _views.votes_of_views
 planes_of_views = _views.planes_of_views
-graded_of_views = _views.graded_of_views
 everything = Candidates.all
-EVERYWHERE = np.empty((0, 0), np.uint64)  # stands for the active chunks of no pixel in particular
+EVERYWHERE = np.empty(0, np.int32)  # stands for the starts of chunks of no pixel in particular
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,14 +257,33 @@ def graded(
     lone: int,
     doubtful: int,
     candidates: Candidates | None = None,
+    out: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    active = EVERYWHERE if candidates is None else candidates.active
-    confidence, sure = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
+    """`out`, if given, is where both go."""
+    start = EVERYWHERE if candidates is None else candidates.start
+    confidence, sure = out or (np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, bool))
     _core.graded(
-        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), active,
-        tolerance, CONFIDENT, lone, doubtful, confidence, sure,
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), start,
+        tolerance, CONFIDENT, lone, doubtful, confidence, _bytes(sure),
     )  # fmt: skip
-    return confidence, sure.view(bool)
+    return confidence, sure
+
+
+def graded_of_views(
+    found: np.ndarray,
+    static: np.ndarray,
+    views: Sequence[ArrayGeometry],
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+    candidates: Sequence[Candidates | None] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    confidence, sure = np.zeros(found.shape, np.uint8), np.zeros(found.shape, bool)
+    for k, view in enumerate(views):
+        own = None if candidates is None else candidates[k]
+        if candidates is None or own is not None:
+            graded(found[k], found, static, view, tolerance, lone, doubtful, own, (confidence[k], sure[k]))
+    return confidence, sure
 
 
 def votes(
