@@ -106,9 +106,9 @@ def evidence_and_disparity(run: Reconstructor, images, masks) -> tuple[np.ndarra
     stages = backends.multiview(run.backend)
     with patch.object(stages, "labels", wraps=stages.labels) as labels:
         result = run(images, masks)
-    d, found, static, geometry, _ = labels.call_args.args
-    shown, _ = stages.labels(*labels.call_args.args)
-    return stages.evidence(d, found, static, shown, geometry), result.disparity
+    d, _, static, geometry, *_ = labels.call_args.args
+    shown, _, close = stages.labels(*labels.call_args.args)
+    return stages.evidence(d, static[geometry.reference], close, shown), result.disparity
 
 
 def counted(evidence: np.ndarray, disparity: np.ndarray, truth: Truth) -> Counts:

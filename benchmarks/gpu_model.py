@@ -159,9 +159,11 @@ class Counted:
         self.kernels["planes"].add(disparity.size, 160, 9)
         return cpu_multiview.planes(disparity, trusted, wanted, image, static)
 
-    def labels(self, disparity, disparities, static, geometry, tolerance):
-        self.kernels["labels"].add(disparity.size, 74 * self.cameras + 60, 6 + 3 * self.cameras, 1)
-        return cpu_multiview.labels(disparity, disparities, static, geometry, tolerance)
+    def labels(self, disparity, disparities, static, geometry, tolerance, wanted=None):
+        asked = disparity.size if wanted is None else np.count_nonzero(wanted)
+        self.kernels["labels"].add(asked, 77 * self.cameras + 60, 2 + 3 * self.cameras, 1)
+        self.kernels["labels"].add(disparity.size, 0, 6)
+        return cpu_multiview.labels(disparity, disparities, static, geometry, tolerance, wanted)
 
     def blend(self, colour, rays, clear, near, edge, geometry, disparity, wanted):
         used = int(cpu_multiview.ray_count(rays)[wanted].sum())
@@ -169,9 +171,9 @@ class Counted:
         self.kernels["blend"].add(rays.size, 40, 8 + 4 * self.cameras)
         return cpu_multiview.blend(colour, rays, clear, near, edge, geometry, disparity, wanted)
 
-    def evidence(self, d, disparities, static, shown, geometry):
-        self.kernels["evidence"].add(d.size, 76 * (self.cameras - 1) + 337, 8 + 3 * self.cameras, 2)
-        return cpu_multiview.evidence(d, disparities, static, shown, geometry)
+    def evidence(self, d, static, close, shown):
+        self.kernels["evidence"].add(d.size, 337, 7, 2)
+        return cpu_multiview.evidence(d, static, close, shown)
 
     def averaged(self, colour, static, size, scale):
         small = len(colour) * size[0] * size[1]

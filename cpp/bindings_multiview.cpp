@@ -126,11 +126,34 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "labels",
       [](In<float, 2> offsets, float cx, float cy, int reference, In<uint16_t, 2> d,
-         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, int tolerance, Out<uint16_t, 2> shown,
-         Out<uint16_t, 2> passing) {
+         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<uint8_t, 2> wanted, int tolerance, int near,
+         Out<uint16_t, 2> shown, Out<uint16_t, 2> passing, Out<uint8_t, 2> close) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
-        labels(array, reference, d.data(), disparities.data(), is_static.data(), tolerance, shown.data(),
-               passing.data());
+        labels(array, reference, d.data(), disparities.data(), is_static.data(),
+               wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), passing.data(),
+               close.data());
+      },
+      free_lock);
+
+  m.def(
+      "evidence",
+      [](In<uint16_t, 2> d, In<uint8_t, 2> is_static, In<uint8_t, 2> close, In<uint16_t, 2> shown,
+         In<uint16_t, 1> steps, Out<uint8_t, 2> out) {
+        evidence(static_cast<int>(d.shape(0)), static_cast<int>(d.shape(1)), d.data(), is_static.data(),
+                 close.data(), shown.data(), steps.data(), out.data());
+      },
+      free_lock);
+
+  m.def(
+      "ray_count",
+      [](In<uint16_t, 2> labels, Out<uint8_t, 2> out) { ray_count(labels.data(), labels.size(), out.data()); },
+      free_lock);
+
+  m.def(
+      "clear_of_masks",
+      [](In<uint8_t, 3> is_static, Out<uint8_t, 3> clear) {
+        clear_of_masks(static_cast<int>(is_static.shape(0)), static_cast<int>(is_static.shape(1)),
+                       static_cast<int>(is_static.shape(2)), is_static.data(), clear.data());
       },
       free_lock);
 

@@ -74,8 +74,10 @@ void median(const uint16_t* image, int height, int width, uint16_t* out);
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
                int skip, int tolerance, uint8_t* agree, uint8_t* farther);
+// `wanted` uint8 [H, W], or null: all pixels. close uint8 [H, W]: how many others differ by `near` at most.
 void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, int tolerance, uint16_t* shown, uint16_t* passing);
+            const uint8_t* is_static, const uint8_t* wanted, int tolerance, int near, uint16_t* shown,
+            uint16_t* passing, uint8_t* close);
 
 struct Grades {
   uint8_t confident, lone, doubtful;  // in 20ths
@@ -104,6 +106,13 @@ struct PlaneParams {
 };
 void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, const uint8_t* wanted,
             const uint8_t* image, const uint8_t* is_static, const PlaneParams& params, uint16_t* out);
+
+// confidence.py of_views, all [H, W]; steps [7].
+void evidence(int height, int width, const uint16_t* d, const uint8_t* is_static, const uint8_t* close,
+              const uint16_t* shown, const uint16_t* steps, uint8_t* out);
+void ray_count(const uint16_t* labels, size_t count, uint8_t* out);
+// host.clear_of_masks: uint8 [views, H, W], 0 or 1.
+void clear_of_masks(int views, int height, int width, const uint8_t* is_static, uint8_t* clear);
 
 // clear uint8 [K, H, W], 0: such pixels weigh `edge`; near float [K].
 void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,

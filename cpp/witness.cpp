@@ -166,19 +166,31 @@ void count_witnesses(const uint32_t* __restrict seen, const int32_t* __restrict 
 
 SEEPAST_CLONES
 void add_labels(const uint32_t* __restrict seen, const int32_t* __restrict expected, int count, int tolerance,
-                uint16_t bit, uint16_t* __restrict shown, uint16_t* __restrict passing) {
+                int near, uint16_t bit, uint16_t* __restrict shown, uint16_t* __restrict passing,
+                uint8_t* __restrict close) {
   for (int x = 0; x < count; ++x) {
-    const int e = static_cast<int>(seen[x] & 0xffff) - expected[x];
+    const int e = std::abs(static_cast<int>(seen[x] & 0xffff) - expected[x]);
     const uint16_t open = (seen[x] > 0xffff) & (expected[x] != kOutside) ? bit : static_cast<uint16_t>(0);
-    const uint16_t same = std::abs(e) <= tolerance ? open : static_cast<uint16_t>(0);
+    const uint16_t same = e <= tolerance ? open : static_cast<uint16_t>(0);
     passing[x] = static_cast<uint16_t>(passing[x] | open);
     shown[x] = static_cast<uint16_t>(shown[x] | same);
+    close[x] = static_cast<uint8_t>(close[x] + ((open != 0) & (e <= near)));
   }
+}
+
+// The columns of a row that are wanted. Returns how many they are.
+int chosen(const uint8_t* wanted, int width, int32_t* columns) {
+  int n = 0;
+  for (int x = 0; x < width; ++x) {
+    columns[n] = x;
+    n += wanted[x] != 0;
+  }
+  return n;
 }
 
 // The columns of a row that have chunks, which start at start[x]. Returns how many they are.
 int matched(const int32_t* start, int width, int32_t* columns) {
-  constexpr int kRun = 16;
+  constexpr int kRun = 64;
   int n = 0;
   for (int first = 0; first < width; first += kRun) {
     const int last = std::min(first + kRun, width);
@@ -218,25 +230,47 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
 }
 
 void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, int tolerance, uint16_t* shown, uint16_t* passing) {
+            const uint8_t* is_static, const uint8_t* wanted, int tolerance, int near, uint16_t* shown,
+            uint16_t* passing, uint8_t* close) {
+  const int width = array.width;
 #pragma omp parallel
   {
-    Landing landing(array.width);
+    Landing landing(width);
     std::vector<uint16_t> same(landing.room), open(landing.room);
-#pragma omp for schedule(static)
+    std::vector<uint8_t> nearly(landing.room);
+#pragma omp for schedule(dynamic, 8)
     for (int y = 0; y < array.height; ++y) {
-      const size_t row = static_cast<size_t>(y) * array.width;
-      landing.start(d + row, array.width);
-      std::fill(same.begin(), same.end(), 0);
-      std::fill(open.begin(), open.end(), 0);
-      for (int k = 0; k < array.cameras; ++k) {
-        look(array, k, y, disparities, is_static, landing);
-        add_labels(landing.seen.data(), landing.expected.data(), landing.count,
-                   k == reference ? 1 << 30 : tolerance, static_cast<uint16_t>(1 << k), same.data(),
-                   open.data());
+      const size_t row = static_cast<size_t>(y) * width;
+      std::iota(landing.x.begin(), landing.x.begin() + width, 0);
+      int many = width;
+      if (wanted) {
+        many = chosen(wanted + row, width, landing.x.data());
+        std::fill_n(shown + row, width, uint16_t{0});
+        std::fill_n(passing + row, width, uint16_t{0});
+        std::fill_n(close + row, width, uint8_t{0});
+        if (!many) continue;
       }
-      std::copy_n(same.data(), array.width, shown + row);
-      std::copy_n(open.data(), array.width, passing + row);
+      landing.pick(d + row, many);
+      const uint8_t* own = is_static + reference * array.pixels() + row;
+      for (int i = 0; i < many; ++i) same[i] = static_cast<uint16_t>(own[landing.x[i]] << reference);
+      std::copy_n(same.begin(), many, open.begin());
+      std::fill_n(nearly.begin(), landing.count, uint8_t{0});
+      for (int k = 0; k < array.cameras; ++k) {
+        if (k == reference) continue;
+        look(array, k, y, disparities, is_static, landing);
+        add_labels(landing.seen.data(), landing.expected.data(), landing.count, tolerance, near,
+                   static_cast<uint16_t>(1 << k), same.data(), open.data(), nearly.data());
+      }
+      if (many == width) {
+        std::copy_n(same.data(), width, shown + row);
+        std::copy_n(open.data(), width, passing + row);
+        std::copy_n(nearly.data(), width, close + row);
+        continue;
+      }
+      for (int i = 0; i < many; ++i) {
+        const size_t at = row + landing.x[i];
+        shown[at] = same[i], passing[at] = open[i], close[at] = nearly[i];
+      }
     }
   }
 }

@@ -29,8 +29,8 @@ def flat_views(cameras: int = 3, size: tuple[int, int] = (48, 24)):
 def evidence_of(geometry, found, static, backend: str = "cpu") -> np.ndarray:
     stages = backends.multiview(backends.get(backend))
     d = found[geometry.reference]
-    shown, _ = stages.labels(d, found, static, geometry, round(1.5 * UNITS))
-    return stages.evidence(d, found, static, shown, geometry)
+    shown, _, close = stages.labels(d, found, static, geometry, round(1.5 * UNITS))
+    return stages.evidence(d, static[geometry.reference], close, shown)
 
 
 def parts(evidence: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -61,7 +61,7 @@ def test_what_no_camera_sees_has_confidence_zero_and_all_else_has_not():
     static[0] = False
     evidence = evidence_of(geometry, found, static)
     stages = backends.multiview(backends.get("cpu"))
-    shown, _ = stages.labels(found[0], found, static, geometry, round(1.5 * UNITS))
+    shown, _, _ = stages.labels(found[0], found, static, geometry, round(1.5 * UNITS))
     p = confidence.probability(evidence, VIEWS)
     assert p.shape == shown.shape and p.dtype == np.float32
     assert (shown == 0).any() and ((p == 0) == (shown == 0)).all() and p.max() < 1
@@ -112,8 +112,9 @@ def views_confidence(scene: Scene, options: Options) -> tuple[np.ndarray, np.nda
     stages = backends.multiview(backends.get("cpu"))
     with patch.object(stages, "labels", wraps=stages.labels) as labels:
         found, _ = see_past(frame, scene.geometry, options, stages, False, Clock())
-    d, disparities, static, geometry, _ = labels.call_args.args
-    evidence = stages.evidence(d, disparities, static, found["labels"], geometry)
+    d, _, static, geometry, *_ = labels.call_args.args
+    _, _, close = stages.labels(*labels.call_args.args)
+    evidence = stages.evidence(d, static[geometry.reference], close, found["labels"])
     return confidence.probability(evidence, VIEWS), found["disparity"]
 
 

@@ -34,7 +34,8 @@ def test_witnesses_and_labels(name, skip):
     for k in c.some_views:
         d = c.disparities[k]
         assert_same(*(b.witnesses(d, c.disparities, c.static, c.views[k], skip, UNITS) for b in (reference, cuda)))
-        assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48) for b in (reference, cuda)))
+        for wanted in (None, c.choice[0]):
+            assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48, wanted) for b in (reference, cuda)))
 
 
 @every_scene
@@ -131,8 +132,8 @@ def test_evidence(name):
     r = c.geometry.reference
     flat = (c.disparities // 40 * 40)[r]
     for d in (c.disparities[r], flat, np.full_like(flat, 400)):
-        shown, _ = reference.labels(d, c.disparities, c.static, c.geometry, 48)
-        given = d, c.disparities, c.static, shown, c.geometry
+        shown, _, close = reference.labels(d, c.disparities, c.static, c.geometry, 48)
+        given = d, c.static[r], close, shown
         assert_same(reference.evidence(*given), picture.evidence(*given))
         assert_same(host.ray_count(shown), picture.ray_count(shown))
 

@@ -319,7 +319,23 @@ def test_witnesses_and_labels(name, skip):
     for k in c.some_views:
         d = c.disparities[k]
         assert_same(*(b.witnesses(d, c.disparities, c.static, c.views[k], skip, UNITS) for b in (reference, cpu)))
-        assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48) for b in (reference, cpu)))
+        for wanted in (None, c.choice[0]):
+            assert_same(*(b.labels(d, c.disparities, c.static, c.views[k], 48, wanted) for b in (reference, cpu)))
+
+
+@every_scene
+def test_evidence_rays_and_what_is_clear_of_masks(name):
+    c = case(name)
+    r = c.geometry.reference
+    flat = (c.disparities // 40 * 40)[r]
+    for d in (c.disparities[r], flat, np.full_like(flat, 400)):
+        shown, _, close = reference.labels(d, c.disparities, c.static, c.geometry, 48)
+        assert_same(*(b.evidence(d, c.static[r], close, shown) for b in (reference, cpu)))
+        assert_same(*(b.ray_count(shown) for b in (reference, cpu)))
+    every = np.arange(1 << 16, dtype=np.uint16).reshape(64, -1)
+    assert_same(*(b.ray_count(every) for b in (reference, cpu)))
+    for static in (c.static, c.choice, c.static[:, :3, :2]):
+        assert_same(*(b.clear_of_masks(np.ascontiguousarray(static)) for b in (reference, cpu)))
 
 
 VOTED = (DisparityGrid(29, 8, 32), DisparityGrid(0, 3, 160), DisparityGrid(3, 1, 48), DisparityGrid(0, 20, 112))

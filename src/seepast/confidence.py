@@ -55,7 +55,7 @@ def of_views(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.nda
 
     d       uint16 [H, W], the wanted view's final disparity in 32nds of a pixel over the array
     static  bool [H, W]: nobody in front, in the wanted view
-    close   uint8 [H, W], the other views that confirm it within CLOSE (`witnesses`)
+    close   uint8 [H, W], the other views that confirm it within CLOSE (`labels`)
     shown   uint16 [H, W], which rays show the surface (`labels`): bit k = ray k
     """
     own = static.view(np.uint8)

@@ -69,12 +69,14 @@ def see_past(
 
     keep = static[r]  # the reference sees these itself
     with clock("labels"):  # S^k: ray k is static and |D_k(x^k) - d| <= label_tolerance
-        shown, passing = backend.labels(d, found.disparity, static, geometry, round(UNITS * o.label_tolerance))
+        wanted = ~keep if dynamic_only else None
+        tolerance = round(UNITS * o.label_tolerance)
+        shown, passing, close = backend.labels(d, found.disparity, static, geometry, tolerance, wanted)
     with clock("refocus"):  # I* = sum_k w_k S^k I_k(x^k) / sum_k w_k S^k
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
-        evidence = backend.evidence(d, found.disparity, static, shown, geometry)
+        evidence = backend.evidence(d, keep, close, shown)
         sure = backend.probability(evidence, confidence.calibration(options).table)
     disparity = d.astype(np.float32) / np.float32(UNITS)
     if dynamic_only:  # the rest keeps its own ray, and no disparity

@@ -11,17 +11,16 @@ import numpy as np
 
 from .. import _core
 from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
-from ..confidence import CLOSE, of_views
+from ..confidence import CLOSE
+from ..confidence import STEPS as FLATNESS_STEPS
 from ..geometry import ArrayGeometry
 from ..many import CONFIDENT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid
 from .host import (
     beside,
-    clear_of_masks,
     enlarged,
     inner_span,
     probability,
-    ray_count,
     three_channels,
 )
 from .one_by_one import OneByOne
@@ -63,6 +62,8 @@ votes_of_views = _views.votes_of_views
 planes_of_views = _views.planes_of_views
 everything = Candidates.all
 EVERYWHERE = np.empty(0, np.int32)  # stands for the starts of chunks of no pixel in particular
+EVERY_PIXEL = np.empty((0, 0), np.uint8)  # stands for a mask of all pixels
+STEPS = np.array(FLATNESS_STEPS, np.uint16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,23 +230,38 @@ def witnesses(
 
 
 def labels(
-    disparity: np.ndarray, disparities: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, tolerance: int
-) -> tuple[np.ndarray, np.ndarray]:
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    tolerance: int,
+    wanted: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     shown, passing = np.empty(disparity.shape, np.uint16), np.empty(disparity.shape, np.uint16)
+    close = np.empty(disparity.shape, np.uint8)
     _core.labels(
-        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), tolerance,
-        shown, passing,
+        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static),
+        EVERY_PIXEL if wanted is None else _bytes(wanted), tolerance, CLOSE, shown, passing, close,
     )  # fmt: skip
-    return shown, passing
+    return shown, passing, close
 
 
-def evidence(
-    d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
-) -> np.ndarray:
-    """Evidence of `confidence.of_views`: uint8 [H, W]."""
-    r = geometry.reference
-    close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
-    return of_views(d, static[r], close, shown)
+def evidence(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    out = np.empty(d.shape, np.uint8)
+    _core.evidence(d, _bytes(static), close, shown, STEPS, out)
+    return out
+
+
+def ray_count(labels: np.ndarray) -> np.ndarray:
+    out = np.empty(labels.shape, np.uint8)
+    _core.ray_count(labels, out)
+    return out
+
+
+def clear_of_masks(static: np.ndarray) -> np.ndarray:
+    out = np.empty(static.shape, bool)
+    _core.clear_of_masks(_bytes(static), _bytes(out))
+    return out
 
 
 def graded(

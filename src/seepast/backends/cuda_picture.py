@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..confidence import CLOSE
 from ..geometry import ArrayGeometry
 from ..gpu import device
 from ..gpu.launches import int32, launch_line, launch_tiles, view_table
@@ -47,12 +46,9 @@ def blend(colour, rays, clear, near: np.ndarray, edge: float, geometry: ArrayGeo
     return out
 
 
-def evidence(d, disparities, static, shown, geometry: ArrayGeometry):
+def evidence(d, static, close, shown):
     out = device.current().xp.empty(d.shape, np.uint8)
-    launch_tiles(
-        "witness", "evidence", (1, *d.shape), *view_table(geometry), d, disparities, static, shown,
-        *int32(geometry.reference, geometry.cameras, *d.shape, CLOSE), out, rows=32,
-    )  # fmt: skip
+    launch_tiles("witness", "evidence", (1, *d.shape), d, static, close, shown, *int32(*d.shape), out, rows=32)
     return out
 
 

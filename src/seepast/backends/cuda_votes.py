@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..candidates import Candidates
+from ..confidence import CLOSE
 from ..geometry import ArrayGeometry
 from ..gpu import device
 from ..gpu.launches import int32, launch_tiles, view_table
@@ -35,14 +36,15 @@ def _witnesses(found, disparities, static, views, skips, tolerance: int):
     return agree, farther
 
 
-def labels(disparity, disparities, static, geometry: ArrayGeometry, tolerance: int):
+def labels(disparity, disparities, static, geometry: ArrayGeometry, tolerance: int, wanted=None):
     xp, shape = device.current().xp, disparity.shape
-    shown, passing = xp.empty(shape, np.uint16), xp.empty(shape, np.uint16)
+    shown, passing, close = xp.empty(shape, np.uint16), xp.empty(shape, np.uint16), xp.empty(shape, np.uint8)
+    wanted = xp.ones(shape, bool) if wanted is None else wanted
     launch_tiles(
-        "witness", "labels", (1, *shape), *view_table(geometry), disparity, disparities, static,
-        *int32(geometry.reference, geometry.cameras, *shape, tolerance), shown, passing,
+        "witness", "labels", (1, *shape), *view_table(geometry), disparity, disparities, static, wanted,
+        *int32(geometry.reference, geometry.cameras, *shape, tolerance, CLOSE), shown, passing, close,
     )  # fmt: skip
-    return shown, passing
+    return shown, passing, close
 
 
 def graded_of_views(

@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 
 from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
-from ..confidence import CLOSE, of_views
+from ..confidence import CLOSE
+from ..confidence import of_views as evidence
 from ..geometry import ArrayGeometry
 from ..many import (
     CONFIDENT,
@@ -357,32 +358,31 @@ def witnesses(
 
 
 def labels(
-    disparity: np.ndarray, disparities: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, tolerance: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which rays show the surface, and which are static at all: uint16 [H, W] both, bit k = ray k.
+    disparity: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    tolerance: int,
+    wanted: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which rays show the surface, and which are static at all: uint16 [H, W] both, bit k = ray k; and how many of
+    the other views confirm the disparity within CLOSE: uint8 [H, W]. 0 but where `wanted` bool [H, W], if given.
 
     Ray k shows it where it is static and |D_k(x^k) - d| <= tolerance (32nds of a pixel): a static thing in front has
     another disparity and must not lend its colour. The view's own ray does wherever it is static.
     """
     shown, open_rays = np.zeros(disparity.shape, np.uint16), np.zeros(disparity.shape, np.uint16)
+    close = np.zeros(disparity.shape, np.uint8)
     for k in range(geometry.cameras):
+        own = k == geometry.reference
         there, row, column, expected = landing(geometry, k, disparity)
-        there &= static[k, row, column]
-        e = disparities[k, row, column].astype(np.int32) - expected
+        there &= static[k, row, column] & (True if wanted is None else wanted)
+        e = np.abs(disparities[k, row, column].astype(np.int32) - expected)
         bit = np.uint16(1 << k)
         open_rays |= np.where(there, bit, np.uint16(0))
-        same = (np.abs(e) <= tolerance) | (k == geometry.reference)
-        shown |= np.where(there & same, bit, np.uint16(0))
-    return shown, open_rays
-
-
-def evidence(
-    d: np.ndarray, disparities: np.ndarray, static: np.ndarray, shown: np.ndarray, geometry: ArrayGeometry
-) -> np.ndarray:
-    """Evidence of `confidence.of_views`: uint8 [H, W]."""
-    r = geometry.reference
-    close, _ = witnesses(d, disparities, static, geometry, r, CLOSE)
-    return of_views(d, static[r], close, shown)
+        shown |= np.where(there & ((e <= tolerance) | own), bit, np.uint16(0))
+        close += there & (e <= CLOSE) & (not own)
+    return shown, open_rays, close
 
 
 def votes(

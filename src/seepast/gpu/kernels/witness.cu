@@ -81,37 +81,40 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   sure[at] = said.agree > 0;
 }
 
-// Of one view: offsets [K, 5]; d, shown, passing uint16 [H, W].
+// Of one view: offsets [K, 5]; d, shown, passing uint16 [H, W]; wanted, close uint8 [H, W].
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     labels(const float* __restrict__ offsets, float cx, float cy, const uint16_t* __restrict__ d,
-           const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static, int reference,
-           int cameras, int height, int width, int tolerance, uint16_t* __restrict__ shown,
-           uint16_t* __restrict__ passing) {
+           const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
+           const uint8_t* __restrict__ wanted, int reference, int cameras, int height, int width,
+           int tolerance, int near, uint16_t* __restrict__ shown, uint16_t* __restrict__ passing,
+           uint8_t* __restrict__ close) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
   if (x >= width || y >= height) return;
   const int pixel = y * width + x, units = d[pixel];
-  uint32_t show = 0, pass = 0;
+  const int asked = wanted[pixel] ? cameras : 0;
+  uint32_t show = 0, pass = 0, confirm = 0;
 #pragma unroll 4
-  for (int k = 0; k < cameras; ++k) {
+  for (int k = 0; k < asked; ++k) {
     const Landing to = land(offsets + kOffsets * k, cx, cy, x, y, units);
     const bool there = within(to.column, width) && within(to.row, height);
     const int at = there ? (k * height + to.row) * width + to.column : 0;
     const bool open = there && is_static[at];
-    const bool same = k == reference || abs(disparities[at] - to.expected) <= tolerance;
+    const int e = abs(disparities[at] - to.expected);
     pass |= static_cast<uint32_t>(open) << k;
-    show |= static_cast<uint32_t>(open && same) << k;
+    show |= static_cast<uint32_t>(open && (k == reference || e <= tolerance)) << k;
+    confirm += open && k != reference && e <= near;
   }
+  close[pixel] = static_cast<uint8_t>(confirm);
   shown[pixel] = static_cast<uint16_t>(show);
   passing[pixel] = static_cast<uint16_t>(pass);
 }
 
-// Evidence on the disparities of one view (confidence.py): offsets [K, 5]; d, shown uint16, evidence uint8
+// Evidence on the disparities of one view (confidence.py): d, shown uint16, is_static, closes, evidence uint8
 // [H, W]. Blocks of 32 x 8 threads, tiles of 32 x 32 pixels.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    evidence(const float* __restrict__ offsets, float cx, float cy, const uint16_t* __restrict__ d,
-             const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
-             const uint16_t* __restrict__ shown, int reference, int cameras, int height, int width,
-             int tolerance, uint8_t* __restrict__ out) {
+    evidence(const uint16_t* __restrict__ d, const uint8_t* __restrict__ is_static,
+             const uint8_t* __restrict__ closes, const uint16_t* __restrict__ shown, int height, int width,
+             uint8_t* __restrict__ out) {
   constexpr int kReach = 4, kTile = 32;  // confidence.py REACH = 9
   __shared__ uint16_t low[kTile + 2 * kReach][kTile], high[kTile + 2 * kReach][kTile];
   const int left = blockIdx.x * kTile, top = blockIdx.y * kTile, x = left + threadIdx.x;
@@ -137,10 +140,7 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
       least = min(least, static_cast<int>(low[j + i][threadIdx.x]));
       most = max(most, static_cast<int>(high[j + i][threadIdx.x]));
     }
-    const int close = ask(offsets, cx, cy, x, y, d[at], disparities, is_static, cameras, height, width,
-                          reference, tolerance)
-                          .agree;
-    const int own = is_static[(static_cast<size_t>(reference) * height + y) * width + x];
+    const int close = closes[at], own = is_static[at];
     const int loose = max(0, __popc(shown[at]) - own - close);
     out[at] =
         static_cast<uint8_t>(128 * own + 32 * min(close, 3) + 8 * min(loose, 3) + flatness(most - least));
