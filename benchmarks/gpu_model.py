@@ -180,9 +180,9 @@ class Counted:
         self.kernels["levels"].add(small, 15 * scale**2 + 60, 4 * scale**2 + 4, 1)
         return cpu_multiview.averaged(colour, static, size, scale)
 
-    def enlarged(self, views, ratio, shape):
+    def enlarged(self, views, ratio, shape, factor=1):
         self.kernels["levels"].add(len(views) * np.prod(shape), 45, 3, 1)
-        return cpu_multiview.enlarged(views, ratio, shape)
+        return cpu_multiview.enlarged(views, ratio, shape, factor)
 
     def beside(self, views, reach):
         turns = -(-reach // 16)

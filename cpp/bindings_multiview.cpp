@@ -27,10 +27,24 @@ Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, s
           offsets.data()};
 }
 
+template <class Value>
+void bind_enlarged(nb::module_& m) {
+  m.def(
+      "enlarged",
+      [](In<Value, 3> views, int ratio, int factor, Out<Value, 3> out) {
+        enlarged(views.data(), static_cast<int>(views.shape(0)), static_cast<int>(views.shape(1)),
+                 static_cast<int>(views.shape(2)), ratio, factor, static_cast<int>(out.shape(1)),
+                 static_cast<int>(out.shape(2)), out.data());
+      },
+      nb::call_guard<nb::gil_scoped_release>());
+}
+
 }  // namespace
 
 void bind_multiview(nb::module_& m) {
   const auto free_lock = nb::call_guard<nb::gil_scoped_release>();
+  bind_enlarged<uint8_t>(m);
+  bind_enlarged<uint16_t>(m);
 
   m.def(
       "windows",

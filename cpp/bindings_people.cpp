@@ -57,6 +57,13 @@ void bind_people(nb::module_& m) {
       free_lock);
 
   m.def(
+      "disagreement",
+      [](In<uint8_t, 4> saw, int step, Out<int64_t, 1> sums) {
+        disagreement(saw.data(), size(saw.shape(0)), size(saw.shape(1)), size(saw.shape(2)), step, sums.data());
+      },
+      free_lock);
+
+  m.def(
       "object_grid",
       [](In<float, 3> offsets, In<float, 2> centers, int reference, In<uint8_t, 4> saw, In<float, 3> surfaces,
          const Cells& cells, int stride, Out<uint16_t, 3> mean, Out<int64_t, 4> sums) {

@@ -66,4 +66,24 @@ void averaged(int views, int height, int width, const uint8_t* colour, const uin
   }
 }
 
+template <class Value>
+void enlarged(const Value* views, int count, int rows, int columns, int ratio, int factor, int height,
+              int width, Value* out) {
+#pragma omp parallel for schedule(static)
+  for (int line = 0; line < count * rows; ++line) {
+    const int row = line % rows, first = row * ratio;
+    const int last = row + 1 == rows ? height : std::min(height, first + ratio);
+    if (first >= last) continue;
+    const Value* from = views + static_cast<size_t>(line) * columns;
+    Value* to = out + (static_cast<size_t>(line / rows) * height + first) * width;
+    for (int i = 0, x = 0; x < width; ++i) {
+      const Value value = static_cast<Value>(from[std::min(i, columns - 1)] * factor);
+      for (const int end = std::min(x + ratio, width); x < end; ++x) to[x] = value;
+    }
+    for (int y = first + 1; y < last; ++y) std::copy_n(to, width, to + static_cast<size_t>(y - first) * width);
+  }
+}
+template void enlarged(const uint8_t*, int, int, int, int, int, int, int, uint8_t*);
+template void enlarged(const uint16_t*, int, int, int, int, int, int, int, uint16_t*);
+
 }  // namespace seepast

@@ -31,6 +31,12 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
 void averaged(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static, int scale,
               int small_height, int small_width, uint8_t* small, uint8_t* small_static);
 
+// views [count, rows, columns] with every pixel repeated `ratio` times, and the last ones further, in words
+// times `factor`: out [count, height, width].
+template <class Value>
+void enlarged(const Value* views, int count, int rows, int columns, int ratio, int factor, int height,
+              int width, Value* out);
+
 // Where the rays of the reference's pixels `hidden` uint8 [H, W] at disparity d px [H, W] end, to the nearest
 // pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out);

@@ -84,6 +84,28 @@ void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces
   }
 }
 
+void disagreement(const uint8_t* saw, int cameras, int height, int width, int step, int64_t* sums) {
+  const int rows = (height + step - 1) / step;
+  int64_t low = 0, high = 0;
+#pragma omp parallel for schedule(static) reduction(+ : low, high)
+  for (int line = 0; line < cameras * rows; ++line) {
+    const int k = line / rows, y = line % rows * step;
+    const uint8_t* says = saw + (static_cast<size_t>(k) * height + y) * width * cameras;
+    int less = 0, more = 0;
+    for (int x = 0; x < width; x += step, says += step * cameras) {
+      const int own = says[k];
+      if (own == kNoSay) continue;
+      for (int j = 0; j < cameras; ++j) {
+        const int other = says[j] == kNoSay || j == k ? -1 : says[j];
+        less += other < 0 ? 0 : std::min(own, other);
+        more += other < 0 ? 0 : std::max(own, other);
+      }
+    }
+    low += less, high += more;
+  }
+  sums[0] = low, sums[1] = high;
+}
+
 void object_grid(const Array* views, int reference, const uint8_t* saw, const float* surfaces,
                  const Cells& cells, int stride, uint16_t* mean, int64_t* sums) {
   const int K = views->cameras;

@@ -9,6 +9,8 @@ namespace seepast {
 // `views`: the array as seen from each of its K cameras.
 void witnesses(const Array* views, const uint8_t* dynamic, const float* surfaces, float tolerance,
                uint8_t* saw);
+// host_people.disagreement: sums [2] of the smaller and of the larger P, of saw uint8 [K, H, W, K].
+void disagreement(const uint8_t* saw, int cameras, int height, int width, int step, int64_t* sums);
 void object_grid(const Array* views, int reference, const uint8_t* saw, const float* surfaces,
                  const Cells& cells, int stride, uint16_t* mean, int64_t* sums);
 void object_slice(const Array* views, int reference, const float* grid, const uint16_t* mean,

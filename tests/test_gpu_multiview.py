@@ -157,6 +157,8 @@ def test_enlarged(ratio, kind):
     for more in (0, ratio - 1):
         shape = 13 * ratio + more, 21 * ratio + more
         assert_same(host.enlarged(views, ratio, shape), levels.enlarged(views, ratio, shape))
+        if kind == np.uint16:
+            assert_same(host.enlarged(views, ratio, shape, 3), levels.enlarged(views, ratio, shape, 3))
 
 
 @every_scene

@@ -181,6 +181,16 @@ def test_averaged(shape, scale):
             assert_same(found, expected)
 
 
+@pytest.mark.parametrize("ratio", [1, 2, 3])
+def test_enlarged(ratio):
+    rng = np.random.default_rng(ratio)
+    words, marks = rng.integers(0, 9000, (3, 6, 7), np.uint16), rng.random((3, 6, 7)) < 0.5
+    for shape in ((6 * ratio, 7 * ratio), (6 * ratio + 1, 7 * ratio - 1), (6 * ratio - 2, 7 * ratio + 2)):
+        for given in ((words, ratio, shape), (marks, ratio, shape), (words, ratio, shape, 3)):
+            if ratio > 1 or shape == (6, 7):
+                assert_same(*(b.enlarged(*given) for b in (reference, cpu)))
+
+
 @every_scene
 def test_landings(name):
     c = case(name)

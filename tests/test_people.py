@@ -112,6 +112,8 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     assert np.array_equal(*both(lambda b: b.witnesses(s.scene.dynamic, s.surfaces, s.geometry, 9)))
     assert (s.saw[0, ..., 1] != people.NO_SAY).any()
     cells = people.object_cells(s.geometry, s.surfaces, OPTIONS, cpu_people)
+    assert len(set(both(lambda b: b.disagreement(s.saw, stride)))) == 1
+    assert both(lambda b: b.disagreement(np.full_like(s.saw, people.NO_SAY), stride)) == [0, 0]
     (mean, sums), (mean_cpu, sums_cpu) = both(lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride))
     assert np.array_equal(mean, mean_cpu) and np.array_equal(sums, sums_cpu) and sums[1].sum() > 100
     grid = people.blurred(sums, 0.5)

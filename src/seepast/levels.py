@@ -59,7 +59,7 @@ class Views:
     def at(self, level: Level, backend: ModuleType) -> np.ndarray:
         """The disparities on a finer level, every pixel repeated: uint16 [K, H, W] in 32nds of its pixels."""
         ratio = self.level.scale // level.scale
-        return backend.enlarged(self.disparity, ratio, level.static.shape[1:]) * np.uint16(ratio)
+        return backend.enlarged(self.disparity, ratio, level.static.shape[1:], ratio)
 
 
 def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:

@@ -18,7 +18,6 @@ from ..many import CONFIDENT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeig
 from .cpu import _bytes, _grid
 from .host import (
     beside,
-    enlarged,
     inner_span,
     probability,
     three_channels,
@@ -86,6 +85,15 @@ def averaged(
     small, small_static = np.empty((*shape, 3), np.uint8), np.empty(shape, bool)
     _core.averaged(np.ascontiguousarray(colour), _bytes(static), scale, small, _bytes(small_static))
     return small, small_static
+
+
+def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...], factor: int = 1) -> np.ndarray:
+    if ratio == factor == 1:
+        return views
+    out = np.empty((len(views), *shape), views.dtype)
+    small, whole = (_bytes(v) if v.dtype == bool else v for v in (views, out))
+    _core.enlarged(np.ascontiguousarray(small), ratio, factor, whole)
+    return out
 
 
 def windows(

@@ -8,7 +8,6 @@ from .. import _core
 from ..geometry import ArrayGeometry
 from ..people import COLOURS, LEVELS, MOMENTS, Cells, FieldCosts, Terms
 from .host_people import (  # noqa: F401
-    disagreement,
     potentials_by,
     probability,
     share_histograms,
@@ -23,6 +22,13 @@ def witnesses(dynamic: np.ndarray, surfaces: np.ndarray, geometry: ArrayGeometry
     saw = np.empty((*dynamic.shape, len(dynamic)), np.uint8)
     _core.witnesses(*_views(geometry), dynamic, surfaces, tolerance, saw)
     return saw
+
+
+def disagreement(saw: np.ndarray, step: int) -> float:
+    sums = np.empty(2, np.int64)
+    _core.disagreement(saw, step, sums)
+    low, high = sums.tolist()
+    return 1 - low / high if high else 0.0
 
 
 def object_grid(saw, surfaces, geometry, cells: Cells, stride) -> tuple[np.ndarray, np.ndarray]:

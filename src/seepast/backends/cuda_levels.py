@@ -40,13 +40,13 @@ def averaged(colour, static, size: tuple[int, int], scale: int):
     return small, small_static
 
 
-def enlarged(views, ratio: int, shape: tuple[int, ...]):
+def enlarged(views, ratio: int, shape: tuple[int, ...], factor: int = 1):
     """Views uint16 or bool."""
-    if ratio == 1:
+    if ratio == factor == 1:
         return views
     out = device.current().xp.empty((len(views), *shape), views.dtype)
     kernel = {1: "enlarge_bytes", 2: "enlarge_words"}[views.dtype.itemsize]
-    launch_tiles("level", kernel, out.shape, views, *int32(*views.shape[1:], ratio, *shape), out)
+    launch_tiles("level", kernel, out.shape, views, *int32(*views.shape[1:], ratio, factor, *shape), out)
     return out
 
 

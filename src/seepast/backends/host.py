@@ -94,11 +94,12 @@ def averaged(
     return small, np.logical_and.reduce([rows[:, :, i::scale] for i in range(scale)])
 
 
-def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...]) -> np.ndarray:
-    """Views of reduced size with every pixel repeated, up to `shape`: [K, h, w] -> [K, H, W]."""
-    if ratio == 1:
+def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...], factor: int = 1) -> np.ndarray:
+    """Views of reduced size with every pixel repeated, up to `shape`: [K, h, w] -> [K, H, W]; uint16 times `factor`."""
+    if ratio == factor == 1:
         return views
-    return np.stack([_enlarged(view, ratio, shape) for view in views])
+    whole = np.stack([_enlarged(view, ratio, shape) for view in views])
+    return whole if factor == 1 else whole * np.uint16(factor)
 
 
 def _enlarged(view: np.ndarray, ratio: int, shape: tuple[int, ...]) -> np.ndarray:

@@ -13,12 +13,12 @@ __device__ size_t index(int view, int height, int width, int y, int x) {
 }
 
 template <class T>
-__device__ void enlarge(const T* __restrict__ in, int height, int width, int ratio, int out_height,
-                        int out_width, T* __restrict__ out) {
+__device__ void enlarge(const T* __restrict__ in, int height, int width, int ratio, int factor,
+                        int out_height, int out_width, T* __restrict__ out) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
   if (x >= out_width || y >= out_height) return;
-  out[index(view, out_height, out_width, y, x)] =
-      in[index(view, height, width, min(y / ratio, height - 1), min(x / ratio, width - 1))];
+  const T value = in[index(view, height, width, min(y / ratio, height - 1), min(x / ratio, width - 1))];
+  out[index(view, out_height, out_width, y, x)] = static_cast<T>(value * factor);
 }
 
 }  // namespace
@@ -47,16 +47,16 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   small_static[out] = static_cast<uint8_t>(all);
 }
 
-// Every pixel of [V, h, w] repeated ratio x ratio times, the last ones as often as it takes.
+// Every pixel of [V, h, w] repeated ratio x ratio times, the last ones as often as it takes; times `factor`.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    enlarge_bytes(const uint8_t* __restrict__ in, int height, int width, int ratio, int out_height,
-                  int out_width, uint8_t* __restrict__ out) {
-  enlarge(in, height, width, ratio, out_height, out_width, out);
+    enlarge_bytes(const uint8_t* __restrict__ in, int height, int width, int ratio, int factor,
+                  int out_height, int out_width, uint8_t* __restrict__ out) {
+  enlarge(in, height, width, ratio, factor, out_height, out_width, out);
 }
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
-    enlarge_words(const uint16_t* __restrict__ in, int height, int width, int ratio, int out_height,
-                  int out_width, uint16_t* __restrict__ out) {
-  enlarge(in, height, width, ratio, out_height, out_width, out);
+    enlarge_words(const uint16_t* __restrict__ in, int height, int width, int ratio, int factor,
+                  int out_height, int out_width, uint16_t* __restrict__ out) {
+  enlarge(in, height, width, ratio, factor, out_height, out_width, out);
 }
 
 // Sets in out uint8 [K, H, W], zero before, where the rays of the pixels `hidden` end at their disparity d,
