@@ -15,6 +15,7 @@
 #include <immintrin.h>
 #endif
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "multiview.h"
@@ -22,13 +23,13 @@
 namespace seepast {
 namespace {
 
-constexpr int16_t kBeyond = 20000;  // path cost where a pixel is not matched: more than any
-constexpr int kGuard = kChunk;      // entries of it between two pixels' candidates
-constexpr int kRows = 4;            // that go along together
-constexpr int kColourSteps = 766;   // entries of Penalties::large
-constexpr int kBlockOfSteps = 32;   // pixels whose penalties are computed together
-constexpr size_t kLine = 32;        // entries of a cache line
-constexpr size_t kRunEntries = 8;   // entries of a Run
+constexpr int16_t kBeyond = 20000;   // path cost where a pixel is not matched: more than any
+constexpr int kGuard = kChunk;       // entries of it between two pixels' candidates
+constexpr int kRows = 4;             // that go along together
+constexpr int kColourSteps = 766;    // entries of Penalties::large
+constexpr int kBlockOfSteps = 8;     // pixels whose penalties are computed together
+constexpr size_t kLine = 32;         // entries of a cache line
+constexpr size_t kPartEntries = 12;  // entries of a Part
 
 size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 
@@ -43,7 +44,7 @@ struct Layout {
     plane = steps * (height + 1);
     totals = std::min(chunks, static_cast<size_t>(width) * (count / kChunk)) * kChunk;
     along = std::min(chunks * kChunk, kRows * totals);
-    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kRunEntries * 3 * width) +
+    sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kPartEntries * 3 * width) +
             totals + along;
     sums = chunks * kChunk;
     total = 2 * sweep + vertical * plane + sums + kLine;
@@ -63,18 +64,31 @@ struct Pick {
   int16_t left, lowest, right, best;
 };
 
-// Columns [from, end) of one row, or some, and whether those have the same chunks.
+// Columns [from, end) of one row, or some, that are active at the same chunks.
 struct Run {
   int32_t from, end;
-  int64_t same;
+  uint64_t active;
+};
+
+// Columns where rows that go along together are active at the same chunks, or not.
+struct Part {
+  Run run;
+  bool same;
+};
+
+// The runs of a row that are active at all.
+struct Runs {
+  const Run *first, *last;
+  const Run* begin() const { return first; }
+  const Run* end() const { return last; }
 };
 
 // A path along a row.
 struct Line {
   const uint8_t* costs;
-  const uint64_t* active;  // [W]
-  const int32_t* start;    // [W]
-  const int16_t* large;    // P2 between every pixel and the one before it
+  Runs runs;
+  const int32_t* start;  // [W]
+  const int16_t* large;  // P2 between every pixel and the one before it
   int16_t* entries;
   int16_t* sums;  // of all chunks, though there is memory for some rows'
   uint64_t held;  // chunks of `entries` that are not beyond
@@ -83,9 +97,8 @@ struct Line {
 // A row, and the paths into it from the row before: from x - dx.
 struct Row {
   const uint8_t* costs;
-  const uint64_t* active;  // [W]
-  const uint64_t* before;  // [W] of the row before, or nullptr
-  const int32_t* start;    // [W]
+  Runs runs, before;     // `before`: of the row before
+  const int32_t* start;  // [W]
   int width;
   int16_t small;
   Grid grid;
@@ -97,7 +110,6 @@ struct Row {
   int16_t* saved;        // or, where they need more, this
   const int16_t* along;  // the sums of those along it, as in Line
   int16_t* totals;       // of all paths, likewise
-  Run* runs;             // [W]
   Pick* picks;           // [W]
   uint16_t* out;         // nullptr: save the sums
 };
@@ -109,14 +121,11 @@ using Large = int16_t[kColourSteps + 1];
 inline void steps_of(const uint8_t* a, const uint8_t* is_static, int n, ptrdiff_t other, const Large& large,
                      int16_t* out) {
   const uint8_t *b = a + 3 * other, *s = is_static, *t = s + other;
-  uint16_t step[kBlockOfSteps];
   for (int i = 0; i < n; ++i) {
     const int d0 = a[3 * i] - b[3 * i], d1 = a[3 * i + 1] - b[3 * i + 1], d2 = a[3 * i + 2] - b[3 * i + 2];
     const int sum = (d0 < 0 ? -d0 : d0) + (d1 < 0 ? -d1 : d1) + (d2 < 0 ? -d2 : d2);
-    step[i] = static_cast<uint16_t>(s[i] & t[i] ? sum : kColourSteps);
+    out[i] = large[s[i] & t[i] ? sum : kColourSteps];
   }
-#pragma GCC unroll 8
-  for (int i = 0; i < n; ++i) out[i] = large[step[i]];
 }
 
 #if defined(SEEPAST_V4)
@@ -150,18 +159,19 @@ namespace baseline {
 }
 
 struct Loops {
-  void (*along)(Line*, int, int, Run*, int16_t);
+  void (*along)(Line*, int, int, Part*, int16_t);
   void (*down)(const Row&, bool);
-  void (*steps)(const uint8_t*, const uint8_t*, const uint64_t*, int, int, ptrdiff_t, const Large&, int16_t*);
+  void (*steps)(const uint8_t*, const uint8_t*, Runs, int, int, ptrdiff_t, const Large&, int16_t*);
+  void (*runs)(const uint64_t*, int, std::vector<Run>&);
 };
 Loops loops() {
 #if defined(SEEPAST_V4)
-  if (simd() >= Simd::avx512) return {v4::along_rows, v4::down_row, v4::step_row};
+  if (simd() >= Simd::avx512) return {v4::along_rows, v4::down_row, v4::step_row, v4::add_runs};
 #endif
 #if defined(SEEPAST_V3)
-  if (simd() == Simd::avx2) return {v3::along_rows, v3::down_row, v3::step_row};
+  if (simd() == Simd::avx2) return {v3::along_rows, v3::down_row, v3::step_row, v3::add_runs};
 #endif
-  return {baseline::along_rows, baseline::down_row, baseline::step_row};
+  return {baseline::along_rows, baseline::down_row, baseline::step_row, baseline::add_runs};
 }
 
 struct View {
@@ -173,24 +183,47 @@ struct View {
   size_t at(int y) const { return static_cast<size_t>(y) * width; }
 };
 
-// The row that halves the work, by some of the rows.
-int middle(const View& view) {
-  constexpr int every = 4;
-  std::vector<size_t> until{0};
-  for (int y = 0; y < view.height; y += every) {
-    size_t n = 0;
-    for (int x = 0; x < view.width; ++x) n += view.active[view.at(y) + x] != 0;
-    until.push_back(until.back() + n);
+// Where a view is matched: looked for once, since most of it may be empty.
+class Matched {
+ public:
+  explicit Matched(const View& view) : half(view.height / 2), ends(view.height) {
+    const auto add = loops().runs;
+#pragma omp parallel for schedule(static, 1)
+    for (int i = 0; i < 2; ++i)
+      for (int y = i ? half : 0; y < (i ? view.height : half); ++y) {
+        add(view.active + view.at(y), view.width, runs[i]);
+        ends[y] = runs[i].size();
+      }
   }
-  const auto half = std::lower_bound(until.begin(), until.end(), (until.back() + 1) / 2);
-  return std::min(view.height, static_cast<int>(half - until.begin()) * every);
-}
+
+  Runs row(int y) const {
+    const Run* all = runs[y >= half].data();
+    return {all + (y == 0 || y == half ? 0 : ends[y - 1]), all + ends[y]};
+  }
+
+  // The row that halves the work.
+  int middle() const {
+    std::vector<size_t> until;
+    size_t n = 0;
+    for (size_t y = 0; y < ends.size(); ++y) {
+      for (const Run& run : row(static_cast<int>(y))) n += run.end - run.from;
+      until.push_back(n);
+    }
+    return static_cast<int>(std::lower_bound(until.begin(), until.end(), (n + 1) / 2) - until.begin());
+  }
+
+ private:
+  int half;
+  std::vector<Run> runs[2];  // of the rows before `half`, and the others
+  std::vector<size_t> ends;  // how many of them there are until each row's end
+};
 
 // One sweep: direction 1 goes down, -1 up.
 struct Sweep {
-  Sweep(const View& view, const Grid& grid, const Large& large, int small, const Layout& layout,
-        int direction, int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
+  Sweep(const View& view, const Matched& matched, const Grid& grid, const Large& large, int small,
+        const Layout& layout, int direction, int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
       : view(view),
+        matched(matched),
         grid(grid),
         large(large),
         small(static_cast<int16_t>(small)),
@@ -204,8 +237,8 @@ struct Sweep {
         line_entries(entries + layout.vertical * layout.entries),
         line_steps(line_entries + kRows * layout.line),
         picks(line_steps + kRows * layout.steps),
-        runs(picks + lines(4 * view.width)),
-        totals(runs + lines(kRunEntries * 3 * view.width)),
+        parts(picks + lines(4 * view.width)),
+        totals(parts + lines(kPartEntries * 3 * view.width)),
         along(totals + layout.totals) {}
 
   void begin() const {
@@ -234,7 +267,7 @@ struct Sweep {
       int16_t* sums = numbered(along, view.start[view.at(top)]);
       Line rows[kRows];
       for (int i = 0; i < count; ++i) rows[i] = line(n + i, i, sums);
-      run.along(rows, count, view.width, reinterpret_cast<Run*>(runs), small);
+      run.along(rows, count, view.width, reinterpret_cast<Part*>(parts), small);
       for (int i = 0; i < count; ++i) run.down(row(n + i, sums, out), layout.vertical == 3);
     }
   }
@@ -249,10 +282,10 @@ struct Sweep {
   Line line(int n, int i, int16_t* sums) const {
     const size_t at = view.at(y_of(n));
     Line l{};
-    l.costs = view.costs, l.active = view.active + at, l.start = view.start + at;
+    l.costs = view.costs, l.runs = matched.row(y_of(n)), l.start = view.start + at;
     l.entries = line_entries + i * layout.line + kGuard;
     l.sums = sums;
-    l.large = step(at, 1, 0, line_steps + i * layout.steps + 1);
+    l.large = step(y_of(n), 1, 0, line_steps + i * layout.steps + 1);
     return l;
   }
 
@@ -260,9 +293,8 @@ struct Sweep {
     const int y = y_of(n);
     const size_t at = view.at(y);
     Row r{};
-    r.costs = view.costs, r.active = view.active + at, r.start = view.start + at;
-    const ptrdiff_t back = -direction * static_cast<ptrdiff_t>(view.width);
-    r.before = n ? r.active + back : nullptr;
+    r.costs = view.costs, r.runs = matched.row(y), r.start = view.start + at;
+    r.before = n ? matched.row(y - direction) : Runs{};
     r.width = view.width, r.small = small, r.grid = grid;
     r.pitch = layout.pitch;
     for (int p = 0; p < static_cast<int>(layout.vertical); ++p) {
@@ -274,7 +306,7 @@ struct Sweep {
     r.saved_bytes = bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
     r.along = sums;
     r.totals = numbered(totals, view.start[at]);
-    r.picks = reinterpret_cast<Pick*>(picks), r.runs = reinterpret_cast<Run*>(runs);
+    r.picks = reinterpret_cast<Pick*>(picks);
     r.out = out ? out + at : nullptr;
     return r;
   }
@@ -284,18 +316,20 @@ struct Sweep {
 
   void steps_between(int y) const {
     for (int p = 0; p < static_cast<int>(layout.vertical); ++p)
-      step(view.at(y), layout.vertical == 3 ? p - 1 : 0, view.width, plane(p, y));
+      step(y, layout.vertical == 3 ? p - 1 : 0, view.width, plane(p, y));
   }
 
-  // P2 between the pixels of the row at `at` and those dx to their left, `rows` pixels before.
-  const int16_t* step(size_t at, int dx, int rows, int16_t* out) const {
+  // P2 between the pixels of row y and those dx to their left, `rows` pixels before.
+  const int16_t* step(int y, int dx, int rows, int16_t* out) const {
+    const size_t at = view.at(y);
     const int from = std::max(0, dx), to = view.width - std::max(0, -dx);
     out[-1] = out[0] = out[view.width - 1] = out[view.width] = 0;
-    run.steps(view.image + 3 * at, view.is_static + at, view.active + at, from, to, -dx - rows, large, out);
+    run.steps(view.image + 3 * at, view.is_static + at, matched.row(y), from, to, -dx - rows, large, out);
     return out;
   }
 
   const View& view;
+  const Matched& matched;
   Grid grid;
   const Large& large;
   int16_t small;
@@ -304,7 +338,7 @@ struct Sweep {
   Loops run;
   int16_t* saved;
   bool bytes;
-  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *runs, *totals, *along;
+  int16_t *entries, *planes, *line_entries, *line_steps, *picks, *parts, *totals, *along;
 };
 
 }  // namespace
@@ -317,6 +351,7 @@ void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_sta
                const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
                int paths, uint16_t* scratch, uint16_t* out) {
   const View view{costs, image, is_static, active, start, height, width};
+  const Matched matched(view);
   const Layout layout(height, width, grid.count, paths, start[static_cast<size_t>(height) * width]);
   void* memory = scratch;
   size_t space = layout.total * sizeof(int16_t);
@@ -329,9 +364,10 @@ void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_sta
   const bool bytes = layout.vertical == 1 && most < 256;
   int16_t *planes = base + 2 * layout.sweep, *saved = planes + layout.vertical * layout.plane;
   const Sweep sweeps[2] = {
-      {view, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
-      {view, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
-  const int half = middle(view), met[2] = {half, height - half};  // rows that each has done when they meet
+      {view, matched, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
+      {view, matched, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
+  const int half = matched.middle(),
+            met[2] = {half, height - half};  // rows that each has done when they meet
 #pragma omp parallel for schedule(static, 1)
   for (int s = 0; s < 2; ++s) sweeps[s].first(met[s]);
 #pragma omp parallel for schedule(static, 1)

@@ -236,7 +236,8 @@ inline void by_chunks(uint64_t active, Use use, Any any) {
 // The path along R rows at once from x on, `count` pixels that all are active at the N kLanes<V> candidates
 // from `first` on. One row alone would wait for itself.
 template <class V, int N, int R, bool kAdd>
-inline void along_run(Line* rows, int x, int count, int direction, int first, int16_t small) {
+inline void along_run(Line* rows, int x, int count, int direction, uint64_t active, int first,
+                      int16_t small) {
   const V step = splat<V>(small), beyond = splat<V>(kBeyond);
   constexpr int L = kLanes<V>;
   const uint8_t* const costs = rows[0].costs;
@@ -273,7 +274,7 @@ inline void along_run(Line* rows, int x, int count, int direction, int first, in
   }
   for (int r = 0; r < R; ++r) {
     for (int i = 0; i < N; ++i) store(rows[r].entries + first + i * L, here[r][i]);
-    rows[r].held = rows[r].active[x];
+    rows[r].held = active;
   }
 }
 
@@ -305,11 +306,11 @@ inline void step_any(int16_t* entries, uint64_t held, uint64_t active, int16_t l
 }
 
 template <bool kAdd>
-void along_any(Line& row, int x, int count, int direction, int16_t small) {
+void along_any(Line& row, int x, int count, int direction, uint64_t active, int16_t small) {
   for (; count; --count, x += direction) {
     const ptrdiff_t at = static_cast<ptrdiff_t>(row.start[x]) * kChunk;
-    step_any<kAdd>(row.entries, row.held, row.active[x], row.large[x], small, row.costs + at, row.sums + at);
-    row.held = row.active[x];
+    step_any<kAdd>(row.entries, row.held, active, row.large[x], small, row.costs + at, row.sums + at);
+    row.held = active;
   }
 }
 
@@ -319,79 +320,103 @@ inline void leave(Line& row) {
   row.held = 0;
 }
 
-// The path along R rows in the columns [from, end), whose chunks are the same in all.
+// The path along R rows in columns whose chunks are the same in all.
 template <int R, bool kAdd>
-inline void along_same(Line* rows, int from, int end, int16_t small) {
-  const uint64_t active = rows[0].active[from];
-  const int count = end - from, direction = kAdd ? -1 : 1, x = kAdd ? end - 1 : from;
-  if (!active) {
+inline void along_same(Line* rows, const Run& run, int16_t small) {
+  const int count = run.end - run.from, direction = kAdd ? -1 : 1, x = kAdd ? run.end - 1 : run.from;
+  if (!run.active) {
     for (int r = 0; r < R; ++r) leave(rows[r]);
     return;
   }
   by_chunks(
-      active,
-      [&]<class V, int N>(int first) { along_run<V, N, R, kAdd>(rows, x, count, direction, first, small); },
+      run.active,
+      [&]<class V, int N>(int first) {
+        along_run<V, N, R, kAdd>(rows, x, count, direction, run.active, first, small);
+      },
       [&] {
-        for (int r = 0; r < R; ++r) along_any<kAdd>(rows[r], x, count, direction, small);
+        for (int r = 0; r < R; ++r) along_any<kAdd>(rows[r], x, count, direction, run.active, small);
       });
 }
 
-// Divides the columns [x, end) into those where all R rows have the same chunks, and others. Returns how
+// Walks along a row by the columns that have the same chunks, or none.
+struct Walk {
+  Walk(const Runs& runs, int x, int width)
+      : run(std::partition_point(runs.begin(), runs.end(), [x](const Run& r) { return r.end <= x; })),
+        last(runs.end()),
+        width(width) {
+    arrive(x);
+  }
+  void to(int x) {
+    if (x < end) return;
+    run += active != 0;
+    arrive(x);
+  }
+  void arrive(int x) {
+    const bool inside = run != last && run->from <= x;
+    active = inside ? run->active : 0;
+    end = inside ? run->end : run != last ? run->from : width;
+  }
+  const Run *run, *last;
+  int width, end;
+  uint64_t active;
+};
+
+// Divides the columns [from, end) into those where all R rows have the same chunks, and others. Returns how
 // many.
-template <int R>
-int split(const Line* rows, int x, int end, Run* runs) {
-  const auto alike = [&](int at) {
-    bool same = true;
-    for (int r = 1; r < R; ++r) same &= rows[r].active[at] == rows[0].active[at];
-    return same;
-  };
+template <int R, size_t... r>
+int split(const Line* rows, int from, int end, Part* parts, std::index_sequence<r...>) {
+  Walk walks[R] = {Walk(rows[r].runs, from, end)...};
   int n = 0;
-  while (x < end) {
-    const int from = x;
-    const bool same = alike(x);
-    if (same) {
-      const uint64_t active = rows[0].active[from];
-      x = end;
-      for (int r = 0; r < R; ++r) x = same_until(rows[r].active, from, x, active);
-    } else {
-      while (++x < end && !alike(x)) {
-      }
-    }
-    runs[n++] = {from, x, same};
+  while (from < end) {
+    int until = std::min({end, walks[r].end...});
+    const uint64_t active = walks[0].active;
+    const bool same = ((walks[r].active == active) && ...);
+    if (!same && n && !parts[n - 1].same)
+      parts[n - 1].run.end = until;
+    else
+      parts[n++] = {{from, until, active}, same};
+    from = until;
+    (walks[r].to(from), ...);
   }
   return n;
 }
+template <int R>
+int split(const Line* rows, int from, int end, Part* parts) {
+  return split<R>(rows, from, end, parts, std::make_index_sequence<R>());
+}
 
-// The path along R rows in the columns [from, end), from the left or, kAdd, from the right: where the rows
-// are not alike, in twos or one by one.
+// The path along R rows in the n parts of their columns, from the left or, kAdd, from the right: where the
+// rows are not alike, in twos or one by one. There is room for more parts behind these.
 template <int R, bool kAdd>
-void along(Line* rows, int from, int end, Run* runs, int16_t small) {
-  const int n = split<R>(rows, from, end, runs);
+void along(Line* rows, Part* parts, int n, int16_t small) {
   for (int i = 0; i < n; ++i) {
-    const Run run = runs[kAdd ? n - 1 - i : i];
-    if (run.same) {
-      along_same<R, kAdd>(rows, run.from, run.end, small);
+    const Part& part = parts[kAdd ? n - 1 - i : i];
+    if (part.same) {
+      along_same<R, kAdd>(rows, part.run, small);
     } else if constexpr (R > 1) {
-      along<R / 2, kAdd>(rows, run.from, run.end, runs + n, small);
-      along<R / 2, kAdd>(rows + R / 2, run.from, run.end, runs + n, small);
+      for (int r = 0; r < R; r += R / 2) {
+        const int some = split<R / 2>(rows + r, part.run.from, part.run.end, parts + n);
+        along<R / 2, kAdd>(rows + r, parts + n, some, small);
+      }
     }
   }
 }
 
 template <int R>
-void along_both_ways(Line* rows, int width, Run* runs, int16_t small) {
-  along<R, false>(rows, 0, width, runs, small);
+void along_both_ways(Line* rows, int width, Part* parts, int16_t small) {
+  const int n = split<R>(rows, 0, width, parts);
+  along<R, false>(rows, parts, n, small);
   for (int r = 0; r < R; ++r) {
     leave(rows[r]);
     ++rows[r].large;
   }
-  along<R, true>(rows, 0, width, runs, small);
+  along<R, true>(rows, parts, n, small);
   for (int r = 0; r < R; ++r) leave(rows[r]);
 }
 
-void along_rows(Line* rows, int count, int width, Run* runs, int16_t small) {
-  if (count == kRows) return along_both_ways<kRows>(rows, width, runs, small);
-  for (int r = 0; r < count; ++r) along_both_ways<1>(rows + r, width, runs, small);
+void along_rows(Line* rows, int count, int width, Part* parts, int16_t small) {
+  if (count == kRows) return along_both_ways<kRows>(rows, width, parts, small);
+  for (int r = 0; r < count; ++r) along_both_ways<1>(rows + r, width, parts, small);
 }
 
 // ---------------------------------------------------------------------------------------- from row to row
@@ -458,17 +483,16 @@ inline void down_run(const Row& r, Saved* to, int x, int end, int first) {
 
 // The same for any chunks.
 template <int P, class Saved, bool kLast>
-void down_any(const Row& r, Saved* to, int x, int end) {
+void down_any(const Row& r, Saved* to, const Run& run) {
   alignas(64) int16_t total[kMostChunks * kChunk];
-  for (; x < end; ++x) {
+  for (int x = run.from; x < run.end; ++x) {
     ptrdiff_t at = static_cast<ptrdiff_t>(r.start[x]) * kChunk;
-    const uint64_t active = r.active[x];
     for (int p = 0; p < P; ++p) {
       const auto step = p ? step_any<true> : step_any<false>;
-      step(r.entries[p] + x * r.pitch, 0, active, r.large[p][x], r.small, r.costs + at, total);
+      step(r.entries[p] + x * r.pitch, 0, run.active, r.large[p][x], r.small, r.costs + at, total);
     }
     const int16_t* sum = total;
-    for (uint64_t rest = active; rest; rest &= rest - 1, sum += kChunk, at += kChunk) {
+    for (uint64_t rest = run.active; rest; rest &= rest - 1, sum += kChunk, at += kChunk) {
       const Lanes t = load<Lanes>(sum), cost = widened<Lanes>(r.costs + at);
       if constexpr (kLast)
         store(r.totals + at, t + load<Lanes>(r.along + at) + saved<Lanes>(to + at, cost));
@@ -503,10 +527,10 @@ inline void pick_run(const Row& r, int x, int end, int first) {
   }
 }
 
-inline void pick_any(const Row& r, int x, int end) {
-  for (; x < end; ++x) {
+inline void pick_any(const Row& r, const Run& run) {
+  const uint64_t active = run.active;
+  for (int x = run.from; x < run.end; ++x) {
     const int16_t* sums = r.totals + static_cast<ptrdiff_t>(r.start[x]) * kChunk;
-    const uint64_t active = r.active[x];
     int best = 0, at = 0, place = 0;
     for (uint64_t rest = active; rest; rest &= rest - 1, at += kChunk) {
       const Lanes sum = load<Lanes>(sums + at), low = lowest(sum);
@@ -523,17 +547,20 @@ inline void pick_any(const Row& r, int x, int end) {
 // What the paths held at chunks where this row is not active, so that it does not reach beyond it.
 template <int P>
 void forget(const Row& r) {
-  if (!r.before) return;
   for (int p = 0; p < P; ++p) {
     const int dx = P == 1 ? 0 : r.dx[p];
-    const int from = std::max(0, -dx), to = r.width - std::max(0, dx);
-    const uint64_t *was = r.before, *is = r.active + dx;
-    for (int x = from; x < to; x += 16) {
-      const int end = std::min(x + 16, to);
-      uint64_t any = 0;
-      for (int i = x; i < end; ++i) any |= was[i] & ~is[i];
-      if (any)
-        for (int i = x; i < end; ++i) clear(r.entries[p] + (i + dx) * r.pitch, was[i] & ~is[i]);
+    const Run* is = r.runs.begin();
+    for (const Run& was : r.before) {
+      int x = std::max(0, was.from + dx);
+      for (const int end = std::min(r.width, was.end + dx); x < end;) {
+        while (is != r.runs.end() && is->end <= x) ++is;
+        const bool beyond = is == r.runs.end(), inside = !beyond && is->from <= x;
+        const int until = beyond ? end : std::min(end, inside ? is->end : is->from);
+        const uint64_t gone = inside ? was.active & ~is->active : was.active;
+        if (gone)
+          for (int i = x; i < until; ++i) clear(r.entries[p] + i * r.pitch, gone);
+        x = until;
+      }
     }
   }
 }
@@ -557,42 +584,39 @@ inline void places(const Row& r, int from, int to) {
   }
 }
 
-// The runs of columns that are active, and at the same chunks.
-inline int runs_of(const Row& r, Run* runs) {
-  int n = 0;
-  for (int x = 0; x < r.width;) {
+void add_runs(const uint64_t* active, int width, std::vector<Run>& runs) {
+  for (int x = 0; x < width;) {
     const int from = x;
-    const uint64_t active = r.active[x];
-    x = same_until(r.active, x, r.width, active);
-    if (active) runs[n++] = {from, x, true};
+    x = same_until(active, from, width, active[from]);
+    if (active[from]) runs.push_back({from, x, active[from]});
   }
-  return n;
+}
+
+// Calls use(from, end) for the columns of runs that follow one another.
+template <class Use>
+inline void for_each_stretch(const Runs& runs, Use use) {
+  for (const Run* run = runs.begin(); run != runs.end();) {
+    const int from = run->from;
+    int end = run->end;
+    while (++run != runs.end() && run->from == end) end = run->end;
+    use(from, end);
+  }
 }
 
 template <int P, class Saved, bool kLast>
 void down(const Row& r, Saved* to) {
-  const int count = runs_of(r, r.runs);
-  const Run* const end = r.runs + count;
-  for (const Run* run = r.runs; run != end; ++run)
+  for (const Run& run : r.runs)
     by_chunks(
-        r.active[run->from],
-        [&]<class V, int N>(int first) {
-          down_run<V, N, P, Saved, kLast>(r, to, run->from, run->end, first);
-        },
-        [&] { down_any<P, Saved, kLast>(r, to, run->from, run->end); });
+        run.active,
+        [&]<class V, int N>(int first) { down_run<V, N, P, Saved, kLast>(r, to, run.from, run.end, first); },
+        [&] { down_any<P, Saved, kLast>(r, to, run); });
   forget<P>(r);
   if (!kLast) return;
-  for (const Run* run = r.runs; run != end; ++run)
+  for (const Run& run : r.runs)
     by_chunks(
-        r.active[run->from],
-        [&]<class V, int N>(int first) { pick_run<V, N>(r, run->from, run->end, first); },
-        [&] { pick_any(r, run->from, run->end); });
-  for (const Run* run = r.runs; run != end;) {
-    const int from = run->from;
-    int until = run->end;
-    while (++run != end && run->from == until) until = run->end;
-    places(r, from, until);
-  }
+        run.active, [&]<class V, int N>(int first) { pick_run<V, N>(r, run.from, run.end, first); },
+        [&] { pick_any(r, run); });
+  for_each_stretch(r.runs, [&](int from, int end) { places(r, from, end); });
 }
 
 template <int P, class Saved>
@@ -612,21 +636,17 @@ void down_row(const Row& r, bool eight) {
 // ----------------------------------------------------------------------------------------------- penalties
 
 #ifdef SEEPAST_AVX2
-// Colour steps sum |a - b| of eight pixels, which begin at byte 0, or, if `late`, of the last eight of a
-// block: no byte behind them is read.
-inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
-  const int second = late ? 8 : 12;
+// Colour steps sum |a - b| of eight pixels; no byte behind them is read.
+inline __m256i colour_steps(const uint8_t* a, const uint8_t* b) {
   const auto load = [&](const uint8_t* from) {
     return _mm256_inserti128_si256(
         _mm256_castsi128_si256(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from))),
-        _mm_loadu_si128(reinterpret_cast<const __m128i*>(from + second)), 1);
+        _mm_loadu_si128(reinterpret_cast<const __m128i*>(from + 8)), 1);
   };
   const __m256i m = load(a), n = load(b),
                 step = _mm256_or_si256(_mm256_subs_epu8(m, n), _mm256_subs_epu8(n, m));
-  const char k = late ? 4 : 0;
-  const __m256i place =
-      _mm256_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1, k, k + 1, k + 2, -1, k + 3,
-                       k + 4, k + 5, -1, k + 6, k + 7, k + 8, -1, k + 9, k + 10, k + 11, -1);
+  const __m256i place = _mm256_setr_epi8(0, 1, 2, -1, 3, 4, 5, -1, 6, 7, 8, -1, 9, 10, 11, -1,  //
+                                         4, 5, 6, -1, 7, 8, 9, -1, 10, 11, 12, -1, 13, 14, 15, -1);
   const __m256i parts = _mm256_shuffle_epi8(step, place);
   return _mm256_madd_epi16(_mm256_maddubs_epi16(parts, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
 }
@@ -636,17 +656,16 @@ inline __m256i colour_steps(const uint8_t* a, const uint8_t* b, bool late) {
 inline void step_block(const uint8_t* image, const uint8_t* is_static, ptrdiff_t other, const Large& large,
                        int16_t* out) {
 #ifdef SEEPAST_AVX2
+  static_assert(kBlockOfSteps == 8);
+  const auto flags = [&](ptrdiff_t at) {
+    return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(is_static + at)));
+  };
+  const __m256i both = _mm256_and_si256(flags(0), flags(other));
+  const __m256i none = _mm256_cmpeq_epi32(both, _mm256_setzero_si256());
   alignas(32) int32_t step[kBlockOfSteps];
-  for (int i = 0; i < kBlockOfSteps; i += 8) {
-    const __m256i sums = colour_steps(image + 3 * i, image + 3 * (i + other), i + 8 == kBlockOfSteps);
-    const auto flags = [&](ptrdiff_t at) {
-      return _mm256_cvtepu8_epi32(_mm_loadl_epi64(reinterpret_cast<const __m128i*>(is_static + i + at)));
-    };
-    const __m256i both = _mm256_and_si256(flags(0), flags(other));
-    const __m256i none = _mm256_cmpeq_epi32(both, _mm256_setzero_si256());
-    _mm256_store_si256(reinterpret_cast<__m256i*>(step + i),
-                       _mm256_blendv_epi8(sums, _mm256_set1_epi32(kColourSteps), none));
-  }
+  _mm256_store_si256(
+      reinterpret_cast<__m256i*>(step),
+      _mm256_blendv_epi8(colour_steps(image, image + 3 * other), _mm256_set1_epi32(kColourSteps), none));
 #pragma GCC unroll 8
   for (int i = 0; i < kBlockOfSteps; ++i) out[i] = large[step[i]];
 #else
@@ -654,20 +673,20 @@ inline void step_block(const uint8_t* image, const uint8_t* is_static, ptrdiff_t
 #endif
 }
 
-// The same in the columns [from, to) of a row, where they are matched; 0 elsewhere.
-void step_row(const uint8_t* image, const uint8_t* is_static, const uint64_t* active, int from, int to,
-              ptrdiff_t other, const Large& large, int16_t* out) {
+// The same in the columns [from, to) of a row, where they are matched; what is elsewhere does not
+// matter, if it is a penalty.
+void step_row(const uint8_t* image, const uint8_t* is_static, Runs runs, int from, int to, ptrdiff_t other,
+              const Large& large, int16_t* out) {
   constexpr int n = kBlockOfSteps;
-  for (int x = from; x < to; x += n) {
-    const int end = std::min(x + n, to);
-    if (same_until(active, x, end, 0) == end) {
-      std::fill(out + x, out + end, int16_t{0});
-      continue;
+  std::fill(out + from, out + std::max(from, to), int16_t{0});
+  for_each_stretch(runs, [&](int first, int last) {
+    const int end = std::min(last, to);
+    for (int x = std::max(first, from); x < end; x += n) {
+      const int whole = std::min(x, to - n);  // a few twice, since whole blocks are faster
+      if (whole >= from)
+        step_block(image + 3 * whole, is_static + whole, other, large, out + whole);
+      else
+        steps_of(image + 3 * x, is_static + x, end - x, other, large, out + x);
     }
-    const int whole = end - n;  // a few twice, since whole blocks are faster
-    if (whole >= from)
-      step_block(image + 3 * whole, is_static + whole, other, large, out + whole);
-    else
-      steps_of(image + 3 * x, is_static + x, end - x, other, large, out + x);
-  }
+  });
 }
