@@ -163,17 +163,17 @@ def smoothed(
     o: MultiviewOptions,
     backend: ModuleType,
 ) -> np.ndarray:
-    """uint16 [K, h, w]: the `matched` views by their `costs`, where they have candidates; `found` elsewhere."""
+    """uint16 [K, h, w]: the `matched` views by their `costs`, where they have candidates; `found`, whose memory it
+    takes, elsewhere."""
     if not matched:
         return found
     colour, static, polled, kept = ([of[k] for k in matched] for of in (level.colour, level.static, candidates, found))
     better = backend.aggregates(costs, colour, static, polled, penalties, o.paths, kept)
     if len(matched) == len(found):
         return better
-    whole = found.copy()
     for k, view in zip(matched, better, strict=True):
-        whole[k] = view
-    return whole
+        found[k] = view
+    return found
 
 
 def voted(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-import threading
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from .. import _core
@@ -24,6 +24,7 @@ from .host import (
 )
 from .one_by_one import OneByOne
 from .reference import FOREGROUND_WEIGHT, NEARER
+from .workspace import Workspace
 
 __all__ = [
     "aggregate",
@@ -60,6 +61,7 @@ _views = OneByOne(sys.modules[__name__])
 votes_of_views = _views.votes_of_views
 planes_of_views = _views.planes_of_views
 everything = Candidates.all
+workspace = Workspace()  # of temporary arrays; those that a result may hold are fresh
 EVERYWHERE = np.empty(0, np.int32)  # stands for the starts of chunks of no pixel in particular
 EVERY_PIXEL = np.empty((0, 0), np.uint8)  # stands for a mask of all pixels
 STEPS = np.array(FLATNESS_STEPS, np.uint16)
@@ -82,7 +84,7 @@ def averaged(
     colour: np.ndarray, static: np.ndarray, size: tuple[int, int], scale: int
 ) -> tuple[np.ndarray, np.ndarray]:
     shape = len(static), size[1], size[0]
-    small, small_static = np.empty((*shape, 3), np.uint8), np.empty(shape, bool)
+    small, small_static = workspace.empty((*shape, 3), np.uint8), workspace.empty(shape, bool)
     _core.averaged(np.ascontiguousarray(colour), _bytes(static), scale, small, _bytes(small_static))
     return small, small_static
 
@@ -90,7 +92,7 @@ def averaged(
 def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...], factor: int = 1) -> np.ndarray:
     if ratio == factor == 1:
         return views
-    out = np.empty((len(views), *shape), views.dtype)
+    out = workspace.empty((len(views), *shape), views.dtype)
     small, whole = (_bytes(v) if v.dtype == bool else v for v in (views, out))
     _core.enlarged(np.ascontiguousarray(small), ratio, factor, whole)
     return out
@@ -118,14 +120,15 @@ def windows_of_views(
     shape: tuple[int, ...],
 ) -> list[Candidates]:
     K = len(disparity)
-    active, start = np.empty((K, *shape), np.uint64), np.empty((K, shape[0] * shape[1] + 1), np.int32)
+    active = workspace.empty((K, *shape), np.uint64)
+    start = workspace.empty((K, shape[0] * shape[1] + 1), np.int32)
     for k in range(K):
         _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, active[k], start[k])
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
 def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
-    out = np.zeros((geometry.cameras, *hidden.shape), bool)
+    out = workspace.zeros((geometry.cameras, *hidden.shape), bool)
     _core.landings(geometry.offsets, *geometry.center, _bytes(hidden), disparity, _bytes(out))
     return out
 
@@ -140,7 +143,7 @@ def volumes(
     if not views:  # nothing is asked for
         return []
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
-    out = _volume(sum(c.chunks for c in candidates))
+    out = workspace.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
         np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32),
         np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), LUMA,
@@ -153,14 +156,17 @@ def volumes(
 
 
 def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
-    """np.stack(arrays), without a copy where they are the slices of one array, all in order."""
-    whole = arrays[0].base
+    """np.stack(arrays), without a copy where they lie one behind the other in the memory of one array."""
+    first, whole = arrays[0], arrays[0].base
+    places = [a.ctypes.data - first.ctypes.data for a in arrays]
     if (
         isinstance(whole, np.ndarray)
-        and whole.shape == (len(arrays), *arrays[0].shape)
-        and all(a.base is whole and a.ctypes.data == whole[i].ctypes.data for i, a in enumerate(arrays))
+        and whole.flags.c_contiguous
+        and all(a.base is whole and a.flags.c_contiguous and a.shape == first.shape for a in arrays)
+        and places == [i * first.nbytes for i in range(len(arrays))]
     ):
-        return whole
+        offset = first.ctypes.data - whole.ctypes.data
+        return np.ndarray((len(arrays), *first.shape), first.dtype, buffer=whole, offset=offset)
     return np.stack(arrays)
 
 
@@ -175,14 +181,15 @@ def aggregate(
     out: np.ndarray | None = None,
 ) -> np.ndarray:
     """`out`, where the disparities go, must not be `otherwise`."""
-    found = np.empty(static.shape, np.uint16)
+    found = workspace.empty(static.shape, np.uint16)
     found[...] = UNITS // EIGHTHS * candidates.grid.first if otherwise is None else otherwise
-    scratch = _scratch(_core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs)))
+    size = _core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs))
+    scratch = workspace.empty((size,), np.uint16)
     _core.aggregate(
         costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
         penalties.large, penalties.dynamic, paths, scratch, found,
     )  # fmt: skip
-    out = np.empty_like(found) if out is None else out
+    out = workspace.empty(found.shape, np.uint16) if out is None else out
     _core.median(found, out)
     return out
 
@@ -196,30 +203,11 @@ def aggregates(
     paths: int = 8,
     otherwise: Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
-    out = np.empty((len(images), *static[0].shape), np.uint16)
+    out = workspace.empty((len(images), *static[0].shape), np.uint16)
     for i, volume in enumerate(costs):
         kept = None if otherwise is None else otherwise[i]
         aggregate(volume, images[i], static[i], candidates[i], penalties, paths, kept, out[i])
     return out
-
-
-_kept = threading.local()
-
-
-def _volume(rows: int) -> np.ndarray:
-    """uint8 [rows, CHUNK]: the memory of this thread's volumes before, if nobody holds one of them any more."""
-    kept = getattr(_kept, "volumes", None)
-    if kept is None or len(kept) < rows or sys.getrefcount(kept) > _kept.alone:
-        kept = _kept.volumes = np.empty((rows, CHUNK), np.uint8)
-        _kept.alone = sys.getrefcount(kept)  # what this Python counts where nobody else holds it
-    return kept[:rows]
-
-
-def _scratch(size: int) -> np.ndarray:
-    """uint16 [size], the same memory for every call of a thread: fresh pages would cost more than the sums."""
-    if getattr(_kept, "sums", None) is None or _kept.sums.size < size:
-        _kept.sums = np.empty(size, np.uint16)
-    return _kept.sums[:size]
 
 
 def witnesses(
@@ -230,7 +218,7 @@ def witnesses(
     skip: int,
     tolerance: int,
 ) -> tuple[np.ndarray, np.ndarray]:
-    agree, farther = np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, np.uint8)
+    agree, farther = (workspace.empty(disparity.shape, np.uint8) for _ in range(2))
     _core.witnesses(
         geometry.offsets, *geometry.center, disparity, disparities, _bytes(static), skip, tolerance, agree, farther
     )
@@ -245,8 +233,8 @@ def labels(
     tolerance: int,
     wanted: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    shown, passing = np.empty(disparity.shape, np.uint16), np.empty(disparity.shape, np.uint16)
-    close = np.empty(disparity.shape, np.uint8)
+    shown, passing = np.empty(disparity.shape, np.uint16), workspace.empty(disparity.shape, np.uint16)
+    close = workspace.empty(disparity.shape, np.uint8)
     _core.labels(
         geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static),
         EVERY_PIXEL if wanted is None else _bytes(wanted), tolerance, CLOSE, shown, passing, close,
@@ -323,7 +311,8 @@ def votes(
 ) -> np.ndarray:
     """`out`, where the energies go, may be `costs`."""
     if out is None:
-        out = costs.copy()
+        out = workspace.empty(costs.shape, np.uint8)
+        np.copyto(out, costs)
     _core.votes(
         geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(candidates.grid),
         candidates.active, candidates.start, skip, weights.base, weights.gain, weights.hide, weights.volume,
@@ -335,7 +324,7 @@ def votes(
 def planes(
     disparity: np.ndarray, trusted: np.ndarray, wanted: np.ndarray, image: np.ndarray, static: np.ndarray
 ) -> np.ndarray:
-    out = np.empty_like(disparity)
+    out = workspace.empty(disparity.shape, disparity.dtype)
     _core.planes(
         disparity, _bytes(trusted), _bytes(wanted), image, _bytes(static), PLANE.radius, PLANE.stride, PLANE.gate,
         PLANE.need, PLANE.ridge, PLANE.table, out,

@@ -1,0 +1,78 @@
+"""Memory of the cpu backend's big temporary arrays, used again frame after frame.
+
+Fresh pages cost more than most of the work in them, and a heap that shrinks between frames, as other software's big
+arrays make it, returns all of them.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import threading
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+LEAST = 1 << 16  # bytes: less is taken from the heap
+LARGER = 4  # times as much memory as is asked for will do, where nothing smaller is free
+FORGOTTEN = 256  # arrays later, memory that was not used again is returned
+
+
+class _Memory:
+    """Bytes, and whether an array lies in them that somebody holds: all its views hold `bytes` as their base."""
+
+    def __init__(self, size: int) -> None:
+        self.bytes = np.empty(size, np.uint8)
+        self.last_use = 0
+        self._alone = self._holders()  # what this Python counts where nobody else holds them
+
+    def _holders(self) -> int:
+        return sys.getrefcount(self.bytes)
+
+    @property
+    def free(self) -> bool:
+        return self._holders() == self._alone
+
+
+class Workspace(threading.local):
+    """Every thread has memory of its own. An array, or any view of it, keeps its memory for as long as somebody holds
+    it, on whatever thread: what reaches a user is never written over."""
+
+    def __init__(self) -> None:
+        self._pool: list[_Memory] = []
+        self._taken = 0
+
+    def empty(self, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
+        """np.empty(shape, dtype), where possible in memory of an array before that nobody holds any more."""
+        size = math.prod(shape) * np.dtype(dtype).itemsize
+        if size < LEAST:
+            return np.empty(shape, dtype)
+        return np.ndarray(shape, dtype, buffer=self._memory(size))
+
+    def zeros(self, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
+        """np.zeros(shape, dtype), likewise."""
+        out = self.empty(shape, dtype)
+        out.fill(0)
+        return out
+
+    def _memory(self, size: int) -> np.ndarray:
+        self._taken += 1
+        fitting = [m for m in self._pool if size <= m.bytes.size <= LARGER * size and m.free]
+        if not fitting:
+            self._pool = [m for m in self._pool if not (m.free and self._superseded(m, size))]
+            fitting = [_Memory(rounded(size))]
+            self._pool += fitting
+        best = min(fitting, key=lambda m: m.bytes.size)
+        best.last_use = self._taken
+        return best.bytes
+
+    def _superseded(self, memory: _Memory, size: int) -> bool:
+        """Memory of `size` will do instead, or nobody has asked for as much for long."""
+        return size < LARGER * memory.bytes.size < LARGER * size or self._taken - memory.last_use > FORGOTTEN
+
+
+def rounded(size: int) -> int:
+    """Somewhat more bytes, so that frames that need a little more than those before find room."""
+    step = 1 << (size.bit_length() - 4)
+    return -(-size // step) * step
