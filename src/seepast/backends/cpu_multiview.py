@@ -6,7 +6,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from .. import _core
@@ -243,7 +242,7 @@ def labels(
 
 
 def evidence(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    out = np.empty(d.shape, np.uint8)
+    out = workspace.empty(d.shape, np.uint8)
     _core.evidence(d, _bytes(static), close, shown, STEPS, out)
     return out
 
@@ -255,7 +254,7 @@ def ray_count(labels: np.ndarray) -> np.ndarray:
 
 
 def clear_of_masks(static: np.ndarray) -> np.ndarray:
-    out = np.empty(static.shape, bool)
+    out = workspace.empty(static.shape, bool)
     _core.clear_of_masks(_bytes(static), _bytes(out))
     return out
 
@@ -273,7 +272,7 @@ def graded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`out`, if given, is where both go."""
     start = EVERYWHERE if candidates is None else candidates.start
-    confidence, sure = out or (np.empty(disparity.shape, np.uint8), np.empty(disparity.shape, bool))
+    confidence, sure = out or (workspace.empty(disparity.shape, np.uint8), workspace.empty(disparity.shape, bool))
     _core.graded(
         geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), start,
         tolerance, CONFIDENT, lone, doubtful, confidence, _bytes(sure),
