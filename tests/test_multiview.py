@@ -191,6 +191,22 @@ def test_enlarged(ratio):
                 assert_same(*(b.enlarged(*given) for b in (reference, cpu)))
 
 
+def test_views_that_were_made_together_are_matched_without_a_copy():
+    views, shape, grid = 3, (120, 160), DisparityGrid(0, 8, 64)
+    disparity, where = np.full((views, 60, 80), 300, np.uint16), np.ones((views, 60, 80), bool)
+    candidates = cpu.windows_of_views(disparity, where, 2, grid, UNITS, 1, shape)
+    for part in ([c.active for c in candidates], [c.start for c in candidates]):
+        stacked = cpu._stacked(part)
+        assert np.shares_memory(stacked, part[0])
+        assert_same(stacked, np.stack(part))
+        for others in (part[1:], part[:1]):
+            assert_same(cpu._stacked(others), np.stack(others))
+        for others in (part[::-1], part[::2], [part[0], part[0].copy(), part[2]]):
+            stacked = cpu._stacked(others)
+            assert not np.shares_memory(stacked, part[0])
+            assert_same(stacked, np.stack(others))
+
+
 @every_scene
 def test_landings(name):
     c = case(name)
