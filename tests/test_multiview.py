@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from arrays import Scene, make_scene, noise_scene
+from arrays import Scene, array, make_scene, noise_scene
 from seepast import Options, _core, multiview
 from seepast.backends import cpu_multiview as cpu
+from seepast.backends import cpu_people
 from seepast.backends import reference_multiview as reference
 from seepast.backends.reference import half_positions
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
@@ -28,8 +29,9 @@ from seepast.many import (
     camera_pairs,
     cubic_weights,
 )
+from seepast.people import trusted
 from seepast.pipeline import Clock
-from seepast.surfaces import looks, static_span, surfaces
+from seepast.surfaces import Look, few_cameras, looks, static_span, surfaces
 
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
@@ -494,8 +496,8 @@ def test_planes_straighten_slants():
 
 def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
-    scale = looks(scene.geometry, options)[0]
-    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, scale, options, cpu)
+    (look,) = looks(scene.geometry, options)
+    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, look, options, cpu)
     return static_span(seen, scene.dynamic <= 127, scene.geometry, options, cpu)
 
 
@@ -504,8 +506,47 @@ def span_of(scene: Scene) -> tuple[float, float]:
 )
 def test_the_first_look_is_the_coarser_one(size, scales):
     geometry = replace(case("5, step").geometry, size=size)
-    assert looks(geometry, Options.preset("accurate")) == scales
-    assert looks(geometry, Options.preset("fast")) == scales[:1]
+    few, every = few_cameras(geometry), tuple(range(5))
+    found = [Look(scales[0], few), *(Look(scale, every) for scale in scales)]
+    assert looks(geometry, Options.preset("accurate")) == found
+    assert looks(geometry, Options.preset("fast")) == found[:2]
+
+
+@pytest.mark.parametrize(
+    ("cameras", "reference", "few"),
+    [(2, 0, (0, 1)), (3, 1, (0, 1, 2)), (5, 2, (0, 2, 4)), (5, 4, (0, 2, 4)), (16, 3, (0, 3, 15))],
+)
+def test_few_cameras_are_the_ends_and_one_between(cameras, reference, few):
+    geometry = array(cameras, (64, 48)).seen_from(reference)
+    assert few_cameras(geometry) == few
+    if cameras < 4:
+        assert len(looks(geometry, Options.preset("fast"))) == 1
+
+
+def test_a_second_look_from_all_cameras_finds_what_one_look_does():
+    scene = make_scene(5, (140, 64), colour=True)
+    colour, options = cpu.three_channels(scene.colour), OPTIONS
+    few, every = Look(2, (0, 2, 4)), Look(2, (0, 1, 2, 3, 4))
+    first = surfaces(colour, scene.geometry, few, options, cpu)
+    assert not first.disparity[[1, 3]].any() and not first.agree[[1, 3]].any() and first.agree[few.cameras,].any()
+    whole = surfaces(colour, scene.geometry, every, options, cpu)
+    second = surfaces(colour, scene.geometry, every, options, cpu, first)
+    assert sorted(second.cameras) == sorted(whole.cameras)
+    assert np.array_equal(second.disparity, whole.disparity) and np.array_equal(second.agree, whole.agree)
+
+
+def test_a_mask_that_is_missing_where_nobody_looked_from_is_noticed():
+    scene = make_scene(5, (140, 64), colour=True, person=False)
+    dynamic = np.zeros_like(scene.dynamic)
+    for k, view in enumerate(dynamic):  # somebody flat on the wall, whose disparity is 12 px
+        view[10:50, 60 - 3 * k : 100 - 3 * k] = 254
+    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, Look(2, (0, 2, 4)), OPTIONS, cpu)
+    options = replace(OPTIONS.people, trusted=0.1)
+    assert trusted(dynamic, seen, scene.geometry, options, cpu_people)
+    for wrong in (0, 254):
+        missing = dynamic.copy()
+        missing[1] = wrong
+        assert not trusted(missing, seen, scene.geometry, options, cpu_people)
 
 
 def test_span_of_the_static_scene():

@@ -22,7 +22,7 @@ from .levels import Level, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
-from .surfaces import looks, static_span, surfaces
+from .surfaces import Surfaces, looks, static_span, surfaces
 
 if TYPE_CHECKING:
     from .pipeline import Clock
@@ -44,13 +44,15 @@ def see_past(
     colour = backend.three_channels(frame.colour)
 
     dynamic, people = frame.dynamic, backends.people(backend)
-    for scale in looks(geometry, options):
+    seen: Surfaces | None = None
+    for look in looks(geometry, options):
         with clock("surfaces"):  # what every camera sees, people included, at a coarse look
-            seen = surfaces(colour, geometry, scale, options, backend)
+            seen = surfaces(colour, geometry, look, options, backend, seen)
         with clock("people"):  # exact masks need no closer look
             exact = not options.people.enabled or trusted(dynamic, seen, geometry, options.people, people)
         if exact:
             break
+    assert seen is not None
     if not exact:
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
             whole = seen.at_full_size(dynamic.shape[1:], backend)

@@ -38,6 +38,7 @@ NATS = 256  # steps per nat in the field
 MAX_COST = 11.5  # nats: eight of them and MAX_POTENTIAL stay within an int16
 MAX_POTENTIAL = 30.0  # nats
 MAX_RATIO = 3.0  # nats that one learnt ratio may say
+ALIKE = 1.1  # views' numbers of people's pixels differ by no more if they see the same
 SPARSE = 4  # every so many-th pixel says enough on whether masks agree
 BLOCK = 8  # lattice pixels per block of colour moments
 MOMENTS = 14  # 1, b, g, r, bb, bg, br, gg, gr, rr; and of people's pixels 1, b, g, r
@@ -126,13 +127,22 @@ def trusted(
 ) -> bool:
     """Whether the masks are exact, by a look at reduced views: then there is nothing to refine, or to look closer at.
 
-    dynamic uint8 [K, H, W] of full-size views. False where reduced views cannot tell.
+    dynamic uint8 [K, H, W] of full-size views. False where reduced views cannot tell. Cameras that were not looked
+    from must have about as many people's pixels as the others: a mask that is missing is noticed.
     """
     if seen.scale == 1:
         return False
     small = reduced(geometry, seen.scale)
     height, width = seen.disparity.shape[1:]
     there = lattice(dynamic, seen.scale)[:, :height, :width].copy()
+    unseen = [k for k in range(len(there)) if k not in seen.cameras]
+    if unseen:
+        people = [float(((view > 127) & (view != NO_RAY)).mean()) for view in there]
+        known = [people[k] for k in seen.cameras]
+        if not all(min(known) / ALIKE <= people[k] <= max(known) * ALIKE for k in unseen):
+            return False
+        for k in unseen:
+            there[k] = NO_RAY
     surfaces = seen.disparity.astype(np.float32) / np.float32(UNITS)
     saw = backend.witnesses(there, surfaces, small, options.same_surface / seen.scale)
     return backend.disagreement(saw, max(1, SPARSE // seen.scale)) <= options.trusted

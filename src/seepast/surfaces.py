@@ -7,7 +7,7 @@ from types import ModuleType
 
 import numpy as np
 
-from .candidates import DisparityGrid
+from .candidates import Candidates, DisparityGrid
 from .geometry import ArrayGeometry
 from .levels import Level, level_grid
 from .many import UNITS, PairCosts, Penalties
@@ -17,17 +17,32 @@ CLEAR = 10  # px: surfaces that near to people may be theirs
 INNER = (0.3, 99.7)  # percentiles of the disparities that are believed
 
 
+@dataclass(frozen=True)
+class Look:
+    """From where surfaces are looked at: the numbers of some cameras, whose views are reduced `scale` times."""
+
+    scale: int
+    cameras: tuple[int, ...]
+
+
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What every camera sees, people included, on views reduced `scale` times.
+    """What every camera that was looked from sees, people included.
 
+    level      the reduced views, nothing masked
+    cameras    that were looked from; there is nothing of the others
     disparity  uint16 [K, h, w] in 32nds of a reduced pixel
     agree      bool [K, h, w]: another view confirms it
     """
 
-    scale: int
+    level: Level
+    cameras: tuple[int, ...]
     disparity: np.ndarray
     agree: np.ndarray
+
+    @property
+    def scale(self) -> int:
+        return self.level.scale
 
     def at_full_size(self, shape: tuple[int, ...], backend: ModuleType) -> np.ndarray:
         """float32 [K, *shape] px over the array."""
@@ -35,32 +50,63 @@ class Surfaces:
 
 
 def surfaces(
-    colour: np.ndarray, geometry: ArrayGeometry, scale: int, options: Options, backend: ModuleType
+    colour: np.ndarray,
+    geometry: ArrayGeometry,
+    look: Look,
+    options: Options,
+    backend: ModuleType,
+    before: Surfaces | None = None,
 ) -> Surfaces:
-    """Semi-global matching of every view reduced `scale` times, without any mask, through the whole range.
+    """Semi-global matching of reduced views, without any mask, through the whole range.
 
     colour  uint8 [K, H, W, 3]
+    before  an earlier look: what it found at the same scale is not looked for again
     """
     o = options.multiview
-    level = Level.of(colour, np.ones_like(colour[..., 0], bool), geometry, scale, backend)
+    if before is None or before.scale != look.scale:
+        level = Level.of(colour, np.ones_like(colour[..., 0], bool), geometry, look.scale, backend)
+        before = Surfaces(level, (), np.zeros_like(level.static, np.uint16), level.static)
+    level, found = before.level, before.disparity
+    new = [k for k in look.cameras if k not in before.cameras]
     low, *_, high = search_range(geometry, options).values
-    candidates = [backend.everything(level_grid((low, high), scale, 1.0), level.static.shape[1:])] * geometry.cameras
+    every = backend.everything(level_grid((low, high), look.scale, 1.0), level.static.shape[1:])
     penalties = Penalties.of(o.small_penalty, o.large_penalty, o.least_penalty, 0)
     features, costs = backend.describe(level.colour, level.static), PairCosts.of(o)
-    volumes = backend.volumes(features, level.views, candidates, costs)
-    found = backend.aggregates(volumes, level.colour, level.static, candidates, penalties, o.paths)
-    _, agree = backend.graded_of_views(found, level.static, level.views, round(UNITS * o.tolerance), 0, 0)
-    return Surfaces(scale, found, agree)
+    candidates = [every] * len(new)
+    volumes = backend.volumes(features, [level.views[k] for k in new], candidates, costs)
+    of_new = ([of[k] for k in new] for of in (level.colour, level.static))
+    for k, view in zip(new, backend.aggregates(volumes, *of_new, candidates, penalties, o.paths), strict=True):
+        found[k] = view
+    return _confirmed(level, (*before.cameras, *new), found, every, round(UNITS * o.tolerance), backend)
 
 
-def looks(geometry: ArrayGeometry, options: Options) -> list[int]:
-    """How often views are reduced for the look at all surfaces. The masks want more of it than the range does: the
-    first look tells whether they are exact, which spares the closer one."""
+def _confirmed(
+    level: Level, cameras: tuple[int, ...], found: np.ndarray, every: Candidates, tolerance: int, backend: ModuleType
+) -> Surfaces:
+    looked = np.zeros_like(level.static)
+    for k in cameras:
+        looked[k] = True
+    asked = [every if k in cameras else None for k in range(len(found))]
+    _, agree = backend.graded_of_views(found, looked, level.views, tolerance, 0, 0, asked)
+    return Surfaces(level, cameras, found, agree)
+
+
+def looks(geometry: ArrayGeometry, options: Options) -> list[Look]:
+    """The looks at all surfaces, one after the other until the masks are known well enough. Masks that are found to be
+    exact, and the range, want no more than the first: a few views, and coarse ones."""
     (width, height), o = geometry.size, options.people
+    few, every = few_cameras(geometry), tuple(range(geometry.cameras))
     if not o.enabled:
-        return [max(1, min(options.multiview.range_scale, width // 64, height))]
+        return [Look(max(1, min(options.multiview.range_scale, width // 64, height)), few)]
     first, close = (_halved(width, height, most) for most in (min(o.first_width, o.surface_width), o.surface_width))
-    return [first, close] if first != close else [close]
+    return list(dict.fromkeys([Look(first, few), Look(first, every), Look(close, every)]))
+
+
+def few_cameras(geometry: ArrayGeometry) -> tuple[int, ...]:
+    """Those at both ends of the array, and the wanted one or, where that is at an end, the middle one."""
+    line = [int(k) for k in np.argsort(geometry.positions[:, 0], kind="stable")]
+    ends, r = (line[0], line[-1]), geometry.reference
+    return tuple(sorted({*ends, line[len(line) // 2] if r in ends else r}))
 
 
 def _halved(width: int, height: int, most: int) -> int:
