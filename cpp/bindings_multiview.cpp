@@ -140,8 +140,8 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "labels",
       [](In<float, 2> offsets, float cx, float cy, int reference, In<uint16_t, 2> d,
-         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<uint8_t, 2> wanted, int tolerance, int near,
-         Out<uint16_t, 2> shown, Out<uint16_t, 2> passing, Out<uint8_t, 2> close) {
+         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<uint8_t, 2> wanted, int tolerance,
+         int near, Out<uint16_t, 2> shown, Out<uint16_t, 2> passing, Out<uint8_t, 2> close) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
         labels(array, reference, d.data(), disparities.data(), is_static.data(),
                wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), passing.data(),
@@ -160,7 +160,9 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "ray_count",
-      [](In<uint16_t, 2> labels, Out<uint8_t, 2> out) { ray_count(labels.data(), labels.size(), out.data()); },
+      [](In<uint16_t, 2> labels, Out<uint8_t, 2> out) {
+        ray_count(labels.data(), labels.size(), out.data());
+      },
       free_lock);
 
   m.def(

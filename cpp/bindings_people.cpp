@@ -59,7 +59,8 @@ void bind_people(nb::module_& m) {
   m.def(
       "disagreement",
       [](In<uint8_t, 4> saw, int step, Out<int64_t, 1> sums) {
-        disagreement(saw.data(), size(saw.shape(0)), size(saw.shape(1)), size(saw.shape(2)), step, sums.data());
+        disagreement(saw.data(), size(saw.shape(0)), size(saw.shape(1)), size(saw.shape(2)), step,
+                     sums.data());
       },
       free_lock);
 

@@ -1,5 +1,5 @@
-// What is counted of every pixel at a method's end: evidence on disparities (confidence.py), rays, and what is
-// clear of people.
+// What is counted of every pixel at a method's end: evidence on disparities (confidence.py), rays, and what
+// is clear of people.
 #include <algorithm>
 #include <vector>
 
@@ -64,7 +64,8 @@ void pack(const uint16_t* __restrict differs, const uint8_t* __restrict is_stati
     int flat = 0;
     for (int i = 0; i < kSteps; ++i) flat += differs[x] <= step[i];
     const int own = is_static[x], loose = bits(shown[x]) - own - close[x];
-    out[x] = static_cast<uint8_t>(128 * own + 32 * std::min<int>(close[x], 3) + 8 * clamp(loose, 0, 3) + flat);
+    out[x] =
+        static_cast<uint8_t>(128 * own + 32 * std::min<int>(close[x], 3) + 8 * clamp(loose, 0, 3) + flat);
   }
 }
 
@@ -115,8 +116,8 @@ void clear_of_masks(int views, int height, int width, const uint8_t* is_static, 
       const size_t row = static_cast<size_t>(line) * width;
       const uint8_t* rows[2 * kClear + 1];
       for (int j = -kClear; j <= kClear; ++j)
-        rows[kClear + j] =
-            y + j < 0 || y + j >= height ? beyond.data() : is_static + row + static_cast<ptrdiff_t>(j) * width;
+        rows[kClear + j] = y + j < 0 || y + j >= height ? beyond.data()
+                                                        : is_static + row + static_cast<ptrdiff_t>(j) * width;
       erode(rows, width, three.data(), clear + row);
     }
   }

@@ -80,7 +80,8 @@ void enlarged(const Value* views, int count, int rows, int columns, int ratio, i
       const Value value = static_cast<Value>(from[std::min(i, columns - 1)] * factor);
       for (const int end = std::min(x + ratio, width); x < end; ++x) to[x] = value;
     }
-    for (int y = first + 1; y < last; ++y) std::copy_n(to, width, to + static_cast<size_t>(y - first) * width);
+    for (int y = first + 1; y < last; ++y)
+      std::copy_n(to, width, to + static_cast<size_t>(y - first) * width);
   }
 }
 template void enlarged(const uint8_t*, int, int, int, int, int, int, int, uint8_t*);
