@@ -7,14 +7,16 @@ from types import ModuleType
 
 import numpy as np
 
-from .candidates import Candidates, DisparityGrid
+from .candidates import CHUNK, Candidates, DisparityGrid
 from .geometry import ArrayGeometry
-from .levels import Level, level_grid
+from .levels import Level, level_grid, scales
 from .many import UNITS, PairCosts, Penalties
 from .options import Options
 
 CLEAR = 10  # px: surfaces that near to people may be theirs
 INNER = (0.3, 99.7)  # percentiles of the disparities that are believed
+SPARE = 5  # px of the span's margin that it can do without
+SAMPLE = tuple(float(p) for p in (np.arange(64) + 0.5) / 0.64)  # percentiles that stand for all
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,32 @@ def static_span(
 
     Percentiles of the disparities that another view confirms, clear of people, and a margin.
     """
-    low, *_, high = search_range(geometry, options).values
-    inner = backend.inner_span(seen.disparity, seen.agree, static, seen.scale, CLEAR // seen.scale, INNER)
-    if inner is not None:
-        inner = inner * (seen.scale / UNITS)
-        margin = max(2.0, 0.04 * (inner[1] - inner[0])) + 10
-        low, high = max(low, inner[0] - margin), min(high, inner[1] + margin)
-    return float(np.floor(low)), float(high)
+    least, *_, most = search_range(geometry, options).values
+    percentiles = (*INNER, *SAMPLE)
+    inner = backend.inner_span(seen.disparity, seen.agree, static, seen.scale, CLEAR // seen.scale, percentiles)
+    if inner is None:
+        return float(np.floor(least)), float(most)
+    first, last, *sample = inner * (seen.scale / UNITS)
+    margin = max(2.0, 0.04 * (last - first)) + 10
+    low, high = float(np.floor(max(least, first - margin))), float(min(most, last + margin))
+    return well_placed(low, high, least, np.array(sample), geometry, options), high
+
+
+def well_placed(
+    low: float, high: float, least: float, sample: np.ndarray, geometry: ArrayGeometry, options: Options
+) -> float:
+    """`low`, or up to SPARE more or a chunk less, but not below `least`: where the fewest chunks begin.
+
+    What the coarsest level matches grows with the span; finer ones match every chunk that a window around a disparity
+    touches. Where disparities like those of `sample`, float64 [n] px, lie in the middle of chunks, that is one each.
+    """
+    o, (coarsest, *finer) = options.multiview, scales(geometry, options.multiview)
+    length = CHUNK * options.range.step  # px of a level
+    starts = low + SPARE - np.arange(length * max(finer, default=0) + 1)
+    starts = starts[(starts >= least) | (starts == low)]
+    chunks = geometry.cameras * np.ceil((high - starts) / (length * coarsest)) / coarsest**2
+    for scale in finer:
+        behind = (sample - starts[:, None]) / scale
+        touched = np.floor((behind + o.window + options.range.step) / length) - np.floor((behind - o.window) / length)
+        chunks += (geometry.cameras if o.fine_views else 2) * (touched.mean(1) + 1) / scale**2
+    return float(starts[chunks.argmin()])
