@@ -85,10 +85,10 @@ class Counted:
         self.kernels["census"].add(static.size, 550, 28, 1)
         return cpu_multiview.describe(colour, static)
 
-    def windows_of_views(self, disparity, where, ratio, grid, reach, spread, shape):
+    def windows_of_views(self, disparity, where, ratio, grid, reach, spread, shape, within=None, whole=-1):
         self.kernels["windows"].add(disparity.size, 390, 11, 3)
         self.kernels["windows"].add(len(disparity) * np.prod(shape), 160, 20)
-        return cpu_multiview.windows_of_views(disparity, where, ratio, grid, reach, spread, shape)
+        return cpu_multiview.windows_of_views(disparity, where, ratio, grid, reach, spread, shape, within, whole)
 
     def volumes(self, features, views, candidates, costs):
         for of in candidates:

@@ -49,11 +49,11 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "windows",
       [](In<uint16_t, 2> disparity, In<uint8_t, 2> where, int ratio, const Grid& grid, int reach, int spread,
-         Out<uint64_t, 2> active, Out<int32_t, 1> start) {
+         In<uint8_t, 2> within, Out<uint64_t, 2> active, Out<int32_t, 1> start) {
         if (grid.count > kMostChunks * kChunk) throw std::invalid_argument("too many candidates");
         windows(disparity.data(), where.data(), static_cast<int>(disparity.shape(0)),
                 static_cast<int>(disparity.shape(1)), ratio, grid, reach, spread,
-                static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)), active.data(),
+                within.size() ? within.data() : nullptr, static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)), active.data(),
                 start.data());
       },
       free_lock);

@@ -20,11 +20,11 @@ struct Chunks {
   const int32_t* start;    // [H W + 1]
 };
 
-// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; active uint64 [height, width]
-// and start int32 [height width + 1] are Chunks.
+// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; within uint8 [height, width],
+// or null: everywhere; active uint64 [height, width] and start int32 [height width + 1] are Chunks.
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
-             int32_t* start);
+             const Grid& grid, int reach, int spread, const uint8_t* within, int height, int width,
+             uint64_t* active, int32_t* start);
 
 // colour uint8 [V, H, W, 3], is_static uint8 [V, H, W] -> [V, h, w] of them, scale x scale pixels averaged
 // into one, which is static if all of them are. h scale <= H, w scale <= W.

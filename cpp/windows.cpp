@@ -45,19 +45,32 @@ void add_row(const uint64_t* __restrict row, int columns, uint64_t* __restrict s
 }
 
 // The chunks of `column` as far as `spread` to the sides, where there are as many entries to spare; none
-// where `where` does not hold. Returns how many chunks all pixels of a row have whose coarse ones are `ratio`
-// wide, the last one to the end.
+// where `where` does not hold.
 SEEPAST_CLONES
-int32_t spread_out(const uint64_t* column, const uint8_t* __restrict where, int columns, int spread,
-                   int ratio, int width, uint64_t* __restrict around) {
+void spread_out(const uint64_t* column, const uint8_t* __restrict where, int columns, int spread,
+                uint64_t* __restrict around) {
   for (int x = 0; x < columns; ++x) around[x] = column[x];
   for (int i = 1; i <= spread; ++i)
     for (int x = 0; x < columns; ++x) around[x] |= column[x - i] | column[x + i];
   for (int x = 0; x < columns; ++x) around[x] = where[x] ? around[x] : 0;
-  const int whole = std::min(columns - 1, width / ratio);
+}
+
+// None where `within` does not hold. Returns how many there are.
+SEEPAST_CLONES
+int32_t keep_within(const uint8_t* __restrict within, int width, uint64_t* __restrict active) {
   int32_t sum = 0;
-  for (int x = 0; x < whole; ++x) sum += std::popcount(around[x]);
-  return sum * ratio + (width - whole * ratio) * std::popcount(around[whole]);
+  for (int x = 0; x < width; ++x) {
+    active[x] = within[x] ? active[x] : 0;
+    sum += std::popcount(active[x]);
+  }
+  return sum;
+}
+
+SEEPAST_CLONES
+int32_t chunks_of(const uint64_t* active, int width) {
+  int32_t sum = 0;
+  for (int x = 0; x < width; ++x) sum += std::popcount(active[x]);
+  return sum;
 }
 
 template <int ratio>
@@ -85,19 +98,14 @@ void count_row(const uint64_t* __restrict active, int width, int32_t before, int
   }
 }
 
-SEEPAST_CLONES
-void add_to(const int32_t* __restrict before, int32_t more, int width, int32_t* __restrict start) {
-  for (int x = 0; x < width; ++x) start[x] = more + before[x];
-}
-
 }  // namespace
 
 void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, int height, int width, uint64_t* active,
-             int32_t* start) {
-  std::vector<int32_t> in_row(rows);      // chunks of each of the fine rows of a coarse one
-  std::vector<int32_t> before(rows + 1);  // chunks of all rows before
+             const Grid& grid, int reach, int spread, const uint8_t* within, int height, int width,
+             uint64_t* active, int32_t* start) {
+  std::vector<int32_t> before(height + 1);  // chunks of all rows before
   const auto top = [&](int y) { return y < rows ? std::min(height, y * ratio) : height; };
+  const auto row = [&](auto* first, int y) { return first + static_cast<size_t>(y) * width; };
 #pragma omp parallel
   {
     Ring ring(2 * spread + 1, columns);
@@ -111,28 +119,26 @@ void windows(const uint16_t* disparity, const uint8_t* where, int rows, int colu
                  ring.row(known + 1));
       std::fill(column.begin(), column.end(), 0);
       for (int j = first; j <= last; ++j) add_row(ring.row(j), columns, column.data() + spread);
-      in_row[y] = spread_out(column.data() + spread, where + static_cast<size_t>(y) * columns, columns,
-                             spread, ratio, width, around.data());
-      uint64_t* const out = active + static_cast<size_t>(top(y)) * width;
-      for (int fine = top(y); fine < top(y + 1); ++fine)
-        if (fine == top(y))
+      spread_out(column.data() + spread, where + static_cast<size_t>(y) * columns, columns, spread,
+                 around.data());
+      for (int fine = top(y); fine < top(y + 1); ++fine) {
+        uint64_t* const out = row(active, fine);
+        if (fine == top(y) || within)
           widen(around.data(), columns, ratio, width, out);
         else
-          std::copy_n(out, width, out + static_cast<size_t>(fine - top(y)) * width);
+          std::copy_n(row(active, top(y)), width, out);
+        if (within)
+          before[fine + 1] = keep_within(row(within, fine), width, out);
+        else
+          before[fine + 1] = fine == top(y) ? chunks_of(out, width) : before[fine];
+      }
     }
 #pragma omp single
-    for (int y = 0; y < rows; ++y) before[y + 1] = before[y] + (top(y + 1) - top(y)) * in_row[y];
+    for (int y = 0; y < height; ++y) before[y + 1] += before[y];
 #pragma omp for schedule(static)
-    for (int y = 0; y < rows; ++y)
-      for (int fine = top(y); fine < top(y + 1); ++fine) {
-        const size_t at = static_cast<size_t>(fine) * width, first = static_cast<size_t>(top(y)) * width;
-        if (fine == top(y))
-          count_row(active + at, width, before[y], start + at);
-        else
-          add_to(start + first, (fine - top(y)) * in_row[y], width, start + at);
-      }
+    for (int y = 0; y < height; ++y) count_row(row(active, y), width, before[y], row(start, y));
   }
-  start[static_cast<size_t>(height) * width] = before[rows];
+  start[static_cast<size_t>(height) * width] = before[height];
 }
 
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out) {

@@ -72,13 +72,11 @@ def test_windows(ratio, reach, spread):
         where[1] &= h > 1  # a view without any
         shape = h * ratio + ratio // 2, w * ratio + ratio // 3
         for grid in (DisparityGrid(29, 8, 64), DisparityGrid(-3, 1, 1024), DisparityGrid(0, 4, 48)):
-            expected = [
-                cpu.windows(d, a, ratio, grid, reach, spread, shape) for d, a in zip(disparity, where, strict=True)
-            ]
-            found = cuda.windows_of_views(disparity, where, ratio, grid, reach, spread, shape)
-            for e, f in zip(expected, found, strict=True):
-                assert_same((e.active, e.start), (f.active, f.start))
-                assert e.chunks == f.chunks
+            for limits in ((), (rng.random((3, *shape)) < 0.7,), (rng.random((3, *shape)) < 0.7, 2)):
+                given = disparity, where, ratio, grid, reach, spread, shape, *limits
+                for e, f in zip(cpu.windows_of_views(*given), cuda.windows_of_views(*given), strict=True):
+                    assert_same((e.active, e.start), (f.active, f.start))
+                    assert e.chunks == f.chunks
     alone = cuda.windows(disparity[0], where[0], ratio, grid, reach, spread, shape)
     assert_same(alone.active, reference.windows(disparity[0], where[0], ratio, grid, reach, spread, shape).active)
 

@@ -100,6 +100,20 @@ def test_windows_of_cpu_and_reference_are_the_same(seed):
     found, expected = cpu.windows(*arguments), reference.windows(*arguments)
     assert np.array_equal(found.active, expected.active) and np.array_equal(found.start, expected.start)
     assert np.array_equal(found.active > 0, cpu.enlarged(where[None], ratio, shape)[0])
+    within = rng.random(shape) < 0.7
+    kept, expected = cpu.windows(*arguments, within), reference.windows(*arguments, within)
+    assert np.array_equal(kept.active, expected.active) and np.array_equal(kept.start, expected.start)
+    assert np.array_equal(kept.active, np.where(within, found.active, 0))
+
+
+def test_windows_are_limited_in_all_views_but_one():
+    rng = np.random.default_rng(0)
+    disparity, where = rng.integers(0, 900, (3, 7, 9), np.uint16), np.ones((3, 7, 9), bool)
+    given = disparity, where, 2, DisparityGrid(0, 4, 4 * CHUNK), 2 * UNITS, 1, (14, 18), rng.random((3, 14, 18)) < 0.5
+    for whole in (-1, 1):
+        for found, expected in zip(cpu.windows_of_views(*given, whole), reference.windows_of_views(*given, whole)):
+            assert np.array_equal(found.active, expected.active) and np.array_equal(found.start, expected.start)
+    assert not (found.active > 0).all() and (cpu.windows_of_views(*given, 1)[1].active > 0).all()
 
 
 def test_windows_hold_what_the_coarser_level_found():

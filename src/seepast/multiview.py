@@ -246,7 +246,7 @@ def asked_for(
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
 
     Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
-    only at what they see themselves, as far as a coarse pixel tells; with dynamic_only that one too.
+    only at what they see themselves, or a coarse pixel beside it (`around` is exact); with dynamic_only that one too.
     """
     if hides is None or before is None:
         return None
@@ -281,7 +281,9 @@ def around(
     if before is None or area is None:
         return [backend.everything(grid, tuple(shape))] * K
     ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
-    return backend.windows_of_views(before.disparity, area, ratio, grid, reach, o.spread, tuple(shape))
+    # the wanted view is asked what lies behind people too; the others, without fine_views, what they see themselves
+    within, whole = (None, -1) if o.fine_views else (level.static, level.geometry.reference)
+    return backend.windows_of_views(before.disparity, area, ratio, grid, reach, o.spread, tuple(shape), within, whole)
 
 
 def penalties(o: MultiviewOptions) -> tuple[Penalties, Penalties]:

@@ -105,8 +105,10 @@ def windows(
     reach: int,
     spread: int,
     shape: tuple[int, ...],
+    within: np.ndarray | None = None,
 ) -> Candidates:
-    return windows_of_views(disparity[None], where[None], ratio, grid, reach, spread, shape)[0]
+    within = within if within is None else within[None]
+    return windows_of_views(disparity[None], where[None], ratio, grid, reach, spread, shape, within)[0]
 
 
 def windows_of_views(
@@ -117,12 +119,17 @@ def windows_of_views(
     reach: int,
     spread: int,
     shape: tuple[int, ...],
+    within: np.ndarray | None = None,
+    whole: int = -1,
 ) -> list[Candidates]:
     K = len(disparity)
-    active = workspace.empty((K, *shape), np.uint64)
-    start = workspace.empty((K, shape[0] * shape[1] + 1), np.int32)
+    active, start = (
+        workspace.empty((K, *shape), np.uint64),
+        workspace.empty((K, shape[0] * shape[1] + 1), np.int32),
+    )
     for k in range(K):
-        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, active[k], start[k])
+        kept = EVERY_PIXEL if within is None or k == whole else _bytes(within[k])
+        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, kept, active[k], start[k])
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 

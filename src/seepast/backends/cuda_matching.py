@@ -87,15 +87,31 @@ def describe(colour: Any, static: Any) -> Features:
 
 
 def windows(
-    disparity: Any, where: Any, ratio: int, grid: DisparityGrid, reach: int, spread: int, shape: tuple[int, ...]
+    disparity: Any,
+    where: Any,
+    ratio: int,
+    grid: DisparityGrid,
+    reach: int,
+    spread: int,
+    shape: tuple[int, ...],
+    within: Any = None,
 ) -> Candidates:
-    return windows_of_views(disparity[None], where[None], ratio, grid, reach, spread, shape)[0]
+    within = within if within is None else within[None]
+    return windows_of_views(disparity[None], where[None], ratio, grid, reach, spread, shape, within)[0]
 
 
 def windows_of_views(
-    disparity: Any, where: Any, ratio: int, grid: DisparityGrid, reach: int, spread: int, shape: tuple[int, ...]
+    disparity: Any,
+    where: Any,
+    ratio: int,
+    grid: DisparityGrid,
+    reach: int,
+    spread: int,
+    shape: tuple[int, ...],
+    within: Any = None,
+    whole: int = -1,
 ) -> list[DeviceCandidates]:
-    """`windows` of n views: disparity uint16, where bool [n, h, w]."""
+    """`windows` of n views: disparity uint16, where bool [n, h, w]; within bool [n, H, W], of all but `whole`."""
     here, (n, rows, columns), (height, width) = device.current(), disparity.shape, shape
     xp, pixels, block, counted = here.xp, height * width, 256, 1024
     around = xp.empty((n, rows, columns), np.uint64)
@@ -109,7 +125,8 @@ def windows_of_views(
     active, start = xp.empty((n, height, width), np.uint64), xp.empty((n, pixels + 1), np.int32)
     blocks = -(-pixels // counted)
     sums, totals = xp.empty((n, blocks), np.int32), xp.empty(n, np.int32)
-    args = [around, *map(_int, (rows, columns, ratio, height, width)), active, sums]
+    limits = [where, _int(0)] if within is None else [within, _int(1)]
+    args = [around, *limits, *map(_int, (whole, rows, columns, ratio, height, width)), active, sums]
     here.launch("windows", "windows_active", grid=(blocks, n), block=(block,), args=args)
     args = [active, _int(pixels), sums, start, totals]
     here.launch("windows", "windows_start", grid=(blocks, n), block=(block,), args=args)

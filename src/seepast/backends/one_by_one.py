@@ -28,10 +28,15 @@ class OneByOne:
         reach: int,
         spread: int,
         shape: tuple[int, ...],
+        within: np.ndarray | None = None,
+        whole: int = -1,
     ) -> list[Candidates]:
-        """`windows` of disparity uint16 [K, h, w], where bool [K, h, w]."""
+        """`windows` of disparity uint16 [K, h, w], where bool [K, h, w]; within bool [K, H, W], of all views but
+        `whole`."""
+        kept = [None if within is None or k == whole else within[k] for k in range(len(disparity))]
         of = self.stages.windows
-        return [of(d, here, ratio, grid, reach, spread, shape) for d, here in zip(disparity, where, strict=True)]
+        given = zip(disparity, where, kept, strict=True)
+        return [of(d, here, ratio, grid, reach, spread, shape, inside) for d, here, inside in given]
 
     def volumes(
         self, features: object, views: Sequence[ArrayGeometry], candidates: Sequence[Candidates], costs: PairCosts

@@ -150,12 +150,13 @@ def windows(
     reach: int,
     spread: int,
     shape: tuple[int, ...],
+    within: np.ndarray | None = None,
 ) -> Candidates:
-    """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity, none where `where` does
-    not hold.
+    """Chunks of the grid within `reach` (32nds of a pixel) of a coarser level's disparity, none where `where`, or
+    `within`, does not hold.
 
     disparity uint16, where bool [h, w] of views that are `ratio` times smaller than shape = (H, W); disparity in
-    32nds of their pixels. A pixel takes the chunks of all coarse pixels within `spread` of its own: what is thin may
+    32nds of their pixels. within bool [H, W], None: everywhere. A pixel takes the chunks of all coarse pixels within `spread` of its own: what is thin may
     have been missed there, and surfaces end anywhere in between.
     """
     centre = disparity.astype(np.int64) * ratio - UNITS // EIGHTHS * grid.first
@@ -167,7 +168,8 @@ def windows(
     padded, side = np.pad(bits, spread), range(2 * spread + 1)
     bits = np.where(where, np.bitwise_or.reduce([padded[i : i + h, j : j + w] for i in side for j in side]), 0)
     y, x = ((np.arange(n) // ratio).clip(0, limit - 1) for n, limit in zip(shape, (h, w), strict=True))
-    return Candidates.of(grid, bits[y[:, None], x])
+    bits = bits[y[:, None], x]
+    return Candidates.of(grid, bits if within is None else np.where(within, bits, 0))
 
 
 # ------------------------------------------------------------------------------------------------- volume

@@ -67,22 +67,26 @@ __device__ inline int block_sum(int value, int* warp_sums) {
   return sum;
 }
 
-// active uint64 [n, height, width]: that of the coarse pixel around each; sums int32 [n, blocks] of its
+// active uint64 [n, height, width]: that of the coarse pixel around each, none where `within` uint8 [n,
+// height, width] does not hold, if it limits the views, all but the `whole`; sums int32 [n, blocks] of its
 // chunks. Blocks of 256 threads for 1024 pixels; y is the view.
 extern "C" __global__ void __launch_bounds__(kThreads)
-    windows_active(const uint64_t* __restrict__ around, int rows, int columns, int ratio, int height,
-                   int width, uint64_t* __restrict__ active, int32_t* __restrict__ sums) {
+    windows_active(const uint64_t* __restrict__ around, const uint8_t* __restrict__ within, int limited,
+                   int whole, int rows, int columns, int ratio, int height, int width,
+                   uint64_t* __restrict__ active, int32_t* __restrict__ sums) {
   __shared__ int warp_sums[kThreads / 32];
   const int pixels = height * width, first = blockIdx.x * kPixels + threadIdx.x;
   around += blockIdx.y * static_cast<size_t>(rows) * columns;
   active += blockIdx.y * static_cast<size_t>(pixels);
+  within += limited ? blockIdx.y * static_cast<size_t>(pixels) : 0;
+  const bool everywhere = !limited || static_cast<int>(blockIdx.y) == whole;
   int chunks = 0;
 #pragma unroll
   for (int i = 0; i < kPixels / kThreads; ++i) {
     const int p = first + i * kThreads;
     if (p < pixels) {
       const int y = min(p / width / ratio, rows - 1), x = min(p % width / ratio, columns - 1);
-      const uint64_t found = around[static_cast<size_t>(y) * columns + x];
+      const uint64_t found = everywhere || within[p] ? around[static_cast<size_t>(y) * columns + x] : 0;
       active[p] = found;
       chunks += __popcll(found);
     }
