@@ -111,7 +111,8 @@ def test_windows_are_limited_in_all_views_but_one():
     disparity, where = rng.integers(0, 900, (3, 7, 9), np.uint16), np.ones((3, 7, 9), bool)
     given = disparity, where, 2, DisparityGrid(0, 4, 4 * CHUNK), 2 * UNITS, 1, (14, 18), rng.random((3, 14, 18)) < 0.5
     for whole in (-1, 1):
-        for found, expected in zip(cpu.windows_of_views(*given, whole), reference.windows_of_views(*given, whole)):
+        both = cpu.windows_of_views(*given, whole), reference.windows_of_views(*given, whole)
+        for found, expected in zip(*both, strict=True):
             assert np.array_equal(found.active, expected.active) and np.array_equal(found.start, expected.start)
     assert not (found.active > 0).all() and (cpu.windows_of_views(*given, 1)[1].active > 0).all()
 

@@ -15,6 +15,7 @@ from ..gpu import device
 from ..gpu.launches import int32, launch_line, launch_tiles, view_table
 from ..gpu.morphology import dilated, eroded
 from ..gpu.tables import constant
+from .host import interpolated
 
 __all__ = ["averaged", "beside", "clear_of_masks", "enlarged", "inner_span", "landings", "three_channels"]
 
@@ -94,10 +95,3 @@ def inner_span(disparity, agree, static, scale: int, reach: int, percentiles: Se
     )
     count, *values = device.current().download(found).tolist()
     return interpolated(shares * (count - 1), np.array(values, np.float64).reshape(-1, 2)) if count else None
-
-
-def interpolated(ranks: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What numpy.percentile makes of ranks [n] and the values [n, 2] at floor(rank) and the next: float64 [n]."""
-    low, high = values.T
-    share, step = ranks - np.floor(ranks), high - low
-    return np.where(share >= 0.5, high - step * (1 - share), low + step * share)

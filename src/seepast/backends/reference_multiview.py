@@ -156,8 +156,8 @@ def windows(
     `within`, does not hold.
 
     disparity uint16, where bool [h, w] of views that are `ratio` times smaller than shape = (H, W); disparity in
-    32nds of their pixels. within bool [H, W], None: everywhere. A pixel takes the chunks of all coarse pixels within `spread` of its own: what is thin may
-    have been missed there, and surfaces end anywhere in between.
+    32nds of their pixels. within bool [H, W], None: everywhere. A pixel takes the chunks of all coarse pixels within
+    `spread` of its own: what is thin may have been missed there, and surfaces end anywhere in between.
     """
     centre = disparity.astype(np.int64) * ratio - UNITS // EIGHTHS * grid.first
     spacing, last = UNITS // EIGHTHS * grid.step, grid.count - 1
