@@ -53,8 +53,8 @@ void bind_multiview(nb::module_& m) {
         if (grid.count > kMostChunks * kChunk) throw std::invalid_argument("too many candidates");
         windows(disparity.data(), where.data(), static_cast<int>(disparity.shape(0)),
                 static_cast<int>(disparity.shape(1)), ratio, grid, reach, spread,
-                within.size() ? within.data() : nullptr, static_cast<int>(active.shape(0)), static_cast<int>(active.shape(1)), active.data(),
-                start.data());
+                within.size() ? within.data() : nullptr, static_cast<int>(active.shape(0)),
+                static_cast<int>(active.shape(1)), active.data(), start.data());
       },
       free_lock);
 
