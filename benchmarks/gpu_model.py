@@ -180,6 +180,14 @@ class Counted:
         self.kernels["levels"].add(small, 15 * scale**2 + 60, 4 * scale**2 + 4, 1)
         return cpu_multiview.averaged(colour, static, size, scale)
 
+    def half_rows(self, colour, static):
+        self.kernels["levels"].add(static.size // 2, 45, 12, 1)
+        return cpu_multiview.half_rows(colour, static)
+
+    def double_rows(self, views, height):
+        self.kernels["levels"].add(len(views) * height * views.shape[2], 30, 3, 1)
+        return cpu_multiview.double_rows(views, height)
+
     def enlarged(self, views, ratio, shape, factor=1):
         self.kernels["levels"].add(len(views) * np.prod(shape), 45, 3, 1)
         return cpu_multiview.enlarged(views, ratio, shape, factor)

@@ -59,6 +59,24 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
+      "half_rows",
+      [](In<uint8_t, 4> colour, In<uint8_t, 3> is_static, Out<uint8_t, 4> small,
+         Out<uint8_t, 3> small_static) {
+        half_rows(static_cast<int>(is_static.shape(0)), static_cast<int>(is_static.shape(1)),
+                  static_cast<int>(is_static.shape(2)), colour.data(), is_static.data(), small.data(),
+                  small_static.data());
+      },
+      free_lock);
+
+  m.def(
+      "double_rows",
+      [](In<uint16_t, 3> views, Out<uint16_t, 3> out) {
+        double_rows(views.data(), static_cast<int>(views.shape(0)), static_cast<int>(views.shape(1)),
+                    static_cast<int>(views.shape(2)), static_cast<int>(out.shape(1)), out.data());
+      },
+      free_lock);
+
+  m.def(
       "averaged",
       [](In<uint8_t, 4> colour, In<uint8_t, 3> is_static, int scale, Out<uint8_t, 4> small,
          Out<uint8_t, 3> small_static) {

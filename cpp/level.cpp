@@ -1,4 +1,4 @@
-// Views reduced to a level (levels.Level): several pixels averaged into one.
+// Views reduced to a level (levels.Level), several pixels averaged into one; and back.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -40,7 +40,34 @@ void all_of_columns(const uint8_t* all, int width, int scale, uint8_t* out) {
   }
 }
 
+SEEPAST_CLONES
+void mean_of_rows(const uint8_t* __restrict a, const uint8_t* __restrict b, int count,
+                  uint8_t* __restrict out) {
+  for (int i = 0; i < count; ++i) out[i] = static_cast<uint8_t>((a[i] + b[i] + 1) >> 1);
+}
+
 }  // namespace
+
+void half_rows(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static,
+               uint8_t* small, uint8_t* small_static) {
+  const int rows = height / 2;
+#pragma omp parallel for schedule(static)
+  for (int row = 0; row < views * rows; ++row) {
+    const size_t from = (static_cast<size_t>(row / rows) * height + row % rows * 2) * width,
+                 to = static_cast<size_t>(row) * width;
+    mean_of_rows(colour + 3 * from, colour + 3 * (from + width), 3 * width, small + 3 * to);
+    std::copy_n(is_static + from, width, small_static + to);
+    keep_row(is_static + from + width, width, small_static + to);
+  }
+}
+
+void double_rows(const uint16_t* views, int count, int rows, int width, int height, uint16_t* out) {
+#pragma omp parallel for schedule(static)
+  for (int row = 0; row < count * height; ++row) {
+    const int from = row / height * rows + std::min(row % height / 2, rows - 1);
+    std::copy_n(views + static_cast<size_t>(from) * width, width, out + static_cast<size_t>(row) * width);
+  }
+}
 
 void averaged(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static, int scale,
               int small_height, int small_width, uint8_t* small, uint8_t* small_static) {

@@ -37,6 +37,12 @@ template <class Value>
 void enlarged(const Value* views, int count, int rows, int columns, int ratio, int factor, int height,
               int width, Value* out);
 
+// Every two rows averaged into one, halves up, and static where both are: [V, H, W] -> [V, H / 2, W].
+void half_rows(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static,
+               uint8_t* small, uint8_t* small_static);
+// Every row twice, the last one to the end: [count, rows, width] -> [count, height, width].
+void double_rows(const uint16_t* views, int count, int rows, int width, int height, uint16_t* out);
+
 // Where the rays of the reference's pixels `hidden` uint8 [H, W] at disparity d px [H, W] end, to the nearest
 // pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out);

@@ -177,6 +177,15 @@ def test_clear_of_masks(name):
     assert_same(host.clear_of_masks(static), levels.clear_of_masks(static))
 
 
+@pytest.mark.parametrize("height", [2, 3, 20, 21])
+def test_half_rows_and_back(height):
+    rng = np.random.default_rng(height)
+    given = rng.integers(0, 256, (2, height, 37, 3), np.uint8), rng.random((2, height, 37)) < 0.8
+    assert_same(host.half_rows(*given), levels.half_rows(*given))
+    views = rng.integers(0, 9000, (2, height // 2, 37), np.uint16)
+    assert_same(host.double_rows(views, height), levels.double_rows(views, height))
+
+
 @pytest.mark.parametrize("radius", [0, 1, 4, 15, 17])
 def test_masks_grown_by_discs(radius):
     masks = np.random.default_rng(radius).random((2, 45, 70)) < (0.01 if radius else 0.5)

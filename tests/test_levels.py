@@ -13,7 +13,7 @@ from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, DisparityGrid
 from seepast.frames import Frame
-from seepast.levels import MOST_CHUNKS, Level, Views, level_grid, reduced, scales
+from seepast.levels import MOST_CHUNKS, Level, Views, level_grid, of_half_rows, reduced, scales
 from seepast.many import UNITS
 from seepast.options import MultiviewOptions
 from seepast.pipeline import Clock
@@ -45,6 +45,15 @@ def test_reduced_array_warps_the_same_points(scale):
         there = np.array(SCENE.geometry.warp(k, x, y, d))
         low = np.array(small.warp(k, *((v - (scale - 1) / 2) / scale for v in (x, y)), d / scale))
         assert np.allclose(low * scale + (scale - 1) / 2, there, atol=1e-4)
+
+
+def test_array_of_half_rows_warps_the_same_points():
+    small = of_half_rows(SCENE.geometry)
+    x, y, d = np.array([20.0, 50.5]), np.array([11.0, 25.0]), np.array([8.0, 3.0])
+    for k in range(4):
+        u, v = SCENE.geometry.warp(k, x, y, d)
+        low_u, low_v = small.warp(k, x, (y - 0.5) / 2, d)
+        assert np.allclose(low_u, u, atol=1e-4) and np.allclose(2 * low_v + 0.5, v, atol=1e-4)
 
 
 def test_scales_halve_down_to_full_size_and_never_get_too_narrow():

@@ -183,6 +183,22 @@ def test_averaged(shape, scale):
             assert_same(found, expected)
 
 
+@pytest.mark.parametrize("height", [2, 3, 40, 41])
+def test_half_rows_and_back(height):
+    rng = np.random.default_rng(height)
+    colour, static = rng.integers(0, 256, (3, height, 37, 3), np.uint8), rng.random((3, height, 37)) < 0.8
+    for found, expected in zip(*(b.half_rows(colour, static) for b in (cpu, reference)), strict=True):
+        assert_same(found, expected)
+    small, small_static = cpu.half_rows(colour, static)
+    assert_same(small[:, 0], np.floor(colour[:, :2].mean(1) + 0.5).astype(np.uint8))
+    assert_same(small_static[:, 0], static[:, :2].all(1))
+    views = rng.integers(0, 9000, (3, height // 2, 37), np.uint16)
+    whole = cpu.double_rows(views, height)
+    assert_same(whole, reference.double_rows(views, height))
+    assert_same(whole[:, 1], views[:, 0])
+    assert_same(whole[:, -1], views[:, -1])
+
+
 @pytest.mark.parametrize("ratio", [1, 2, 3])
 def test_enlarged(ratio):
     rng = np.random.default_rng(ratio)

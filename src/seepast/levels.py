@@ -92,6 +92,19 @@ def reduced(geometry: ArrayGeometry, scale: int) -> ArrayGeometry:
     )
 
 
+@lru_cache(maxsize=64)
+def of_half_rows(geometry: ArrayGeometry) -> ArrayGeometry:
+    """The array with every two rows averaged into one: the same disparities, on half as many pixels."""
+    (fx, fy), (cx, cy), (width, height) = geometry.focal, geometry.center, geometry.size
+    return replace(
+        geometry,
+        focal=(fx, fy / 2),
+        center=(cx, (cy - 0.5) / 2),
+        size=(width, height // 2),
+        shifts=geometry.shifts * np.array([1.0, 0.5]),
+    )
+
+
 def level_grid(span: tuple[float, float], scale: int, step: float) -> DisparityGrid:
     """Candidates of a level for a span (low, high) of disparities in px of full-size views, `step` px of the level
     apart; farther where they would be more than a Candidates can hold."""

@@ -18,7 +18,7 @@ from . import backends, confidence
 from .candidates import Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import Level, Views, level_grid, scales
+from .levels import Level, Views, level_grid, of_half_rows, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
@@ -61,19 +61,14 @@ def see_past(
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options, backend)
 
-    found: Views | None = None
-    for scale in scales(geometry, o):  # coarse to fine: each level looks around what the one before it found
-        with clock("describe"):
-            level = Level.of(colour, static, geometry, scale, backend)
-        found = at_level(level, span, found, dynamic_only, options, backend, clock)
-    assert found is not None
-    d = found.disparity[r]
+    disparities = views_disparities(colour, static, geometry, span, dynamic_only, options, backend, clock)
+    d = disparities[r]
 
     keep = static[r]  # the reference sees these itself
     with clock("labels"):  # S^k: ray k is static and |D_k(x^k) - d| <= label_tolerance
         wanted = ~keep if dynamic_only else None
         tolerance = round(UNITS * o.label_tolerance)
-        shown, passing, close = backend.labels(d, found.disparity, static, geometry, tolerance, wanted)
+        shown, passing, close = backend.labels(d, disparities, static, geometry, tolerance, wanted)
     with clock("refocus"):  # I* = sum_k w_k S^k I_k(x^k) / sum_k w_k S^k
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
         background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
@@ -92,6 +87,33 @@ def see_past(
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
+
+
+def views_disparities(
+    colour: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    span: tuple[float, float],
+    dynamic_only: bool,
+    options: Options,
+    backend: ModuleType,
+    clock: Clock,
+) -> np.ndarray:
+    """D_k of all views: uint16 [K, H, W] in 32nds of a pixel over the array. Coarse to fine: each level looks around
+    what the one before it found."""
+    o, height = options.multiview, geometry.size[1]
+    halved = o.half_rows and height > 1
+    if halved:  # a row more or less is nothing to a disparity
+        with clock("describe"):
+            geometry, (colour, static) = of_half_rows(geometry), backend.half_rows(colour, static)
+    found: Views | None = None
+    for scale in scales(geometry, o):
+        with clock("describe"):
+            level = Level.of(colour, static, geometry, scale, backend)
+        found = at_level(level, span, found, dynamic_only, options, backend, clock)
+    assert found is not None
+    with clock("labels"):
+        return backend.double_rows(found.disparity, height) if halved else found.disparity
 
 
 def agreement(o: MultiviewOptions) -> int:

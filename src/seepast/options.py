@@ -145,6 +145,9 @@ class MultiviewOptions(StageOptions):
     )
     window: float = option(2.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
     spread: int = option(4, "px", 0, 16, "and of its neighbours that near: thin things are easily missed there")
+    half_rows: bool = option(
+        False, "", None, None, "disparities are looked for on views whose rows are averaged two by two"
+    )
     fine_views: bool = option(
         True,
         "",
@@ -263,7 +266,7 @@ PRESETS: dict[str, Options] = {
     "fast": Options(
         rectify=RectifyOptions(interpolation="linear"),
         multiview=MultiviewOptions(
-            enabled=True, coarsest=4, rounds=1, spread=2, fine_views=False, around=8, planes=False
+            enabled=True, coarsest=4, half_rows=True, rounds=1, spread=2, fine_views=False, around=8, planes=False
         ),
         people=PeopleOptions(surface_width=250),
     ),

@@ -33,12 +33,14 @@ __all__ = [
     "blend",
     "clear_of_masks",
     "describe",
+    "double_rows",
     "enlarged",
     "everything",
     "evidence",
     "fill_unseen",
     "graded",
     "graded_of_views",
+    "half_rows",
     "inner_span",
     "labels",
     "landings",
@@ -94,6 +96,20 @@ def enlarged(views: np.ndarray, ratio: int, shape: tuple[int, ...], factor: int 
     out = workspace.empty((len(views), *shape), views.dtype)
     small, whole = (_bytes(v) if v.dtype == bool else v for v in (views, out))
     _core.enlarged(np.ascontiguousarray(small), ratio, factor, whole)
+    return out
+
+
+def half_rows(colour: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    K, height, width = static.shape
+    small = workspace.empty((K, height // 2, width, 3), np.uint8)
+    small_static = workspace.empty(small.shape[:-1], bool)
+    _core.half_rows(np.ascontiguousarray(colour), _bytes(static), small, _bytes(small_static))
+    return small, small_static
+
+
+def double_rows(views: np.ndarray, height: int) -> np.ndarray:
+    out = workspace.empty((len(views), height, views.shape[2]), np.uint16)
+    _core.double_rows(np.ascontiguousarray(views), out)
     return out
 
 

@@ -17,7 +17,17 @@ from ..gpu.morphology import dilated, eroded
 from ..gpu.tables import constant
 from .host import interpolated
 
-__all__ = ["averaged", "beside", "clear_of_masks", "enlarged", "inner_span", "landings", "three_channels"]
+__all__ = [
+    "averaged",
+    "beside",
+    "clear_of_masks",
+    "double_rows",
+    "enlarged",
+    "half_rows",
+    "inner_span",
+    "landings",
+    "three_channels",
+]
 
 BINS = 1 << 16
 MOST_RADIUS = 15  # level.cu grow_disc
@@ -48,6 +58,19 @@ def enlarged(views, ratio: int, shape: tuple[int, ...], factor: int = 1):
     out = device.current().xp.empty((len(views), *shape), views.dtype)
     kernel = {1: "enlarge_bytes", 2: "enlarge_words"}[views.dtype.itemsize]
     launch_tiles("level", kernel, out.shape, views, *int32(*views.shape[1:], ratio, factor, *shape), out)
+    return out
+
+
+def half_rows(colour, static):
+    xp, (K, height, width) = device.current().xp, static.shape
+    small, small_static = xp.empty((K, height // 2, width, 3), np.uint8), xp.empty((K, height // 2, width), bool)
+    launch_tiles("level", "half_rows", small_static.shape, colour, static, *int32(height, width), small, small_static)
+    return small, small_static
+
+
+def double_rows(views, height: int):
+    out = device.current().xp.empty((len(views), height, views.shape[2]), views.dtype)
+    launch_tiles("level", "double_rows", out.shape, views, *int32(*views.shape[1:], height), out)
     return out
 
 

@@ -3,7 +3,17 @@
 from __future__ import annotations
 
 from .cuda import fill_unseen, probability
-from .cuda_levels import averaged, beside, clear_of_masks, enlarged, inner_span, landings, three_channels
+from .cuda_levels import (
+    averaged,
+    beside,
+    clear_of_masks,
+    double_rows,
+    enlarged,
+    half_rows,
+    inner_span,
+    landings,
+    three_channels,
+)
 from .cuda_matching import (
     aggregate,
     aggregates,
@@ -25,11 +35,13 @@ __all__ = [
     "blend",
     "clear_of_masks",
     "describe",
+    "double_rows",
     "enlarged",
     "everything",
     "evidence",
     "fill_unseen",
     "graded_of_views",
+    "half_rows",
     "inner_span",
     "labels",
     "landings",

@@ -21,9 +21,11 @@ __all__ = [
     "beside",
     "clear_of_masks",
     "depth",
+    "double_rows",
     "enlarged",
     "faults",
     "fetched",
+    "half_rows",
     "inner_span",
     "input_masks",
     "landings",
@@ -111,6 +113,19 @@ def _enlarged(view: np.ndarray, ratio: int, shape: tuple[int, ...]) -> np.ndarra
     if any(n for _, n in after):
         whole = np.pad(whole, after, mode="edge")
     return whole[: shape[0], : shape[1]]
+
+
+def half_rows(colour: np.ndarray, static: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every two rows averaged into one: colour uint8 [K, H, W, 3], halves rounded up, and static bool [K, H, W] where
+    both are. [K, H // 2, W]."""
+    end = colour.shape[1] // 2 * 2
+    sums = colour[:, :end:2].astype(np.uint16) + colour[:, 1:end:2]
+    return ((sums + 1) // 2).astype(np.uint8), static[:, :end:2] & static[:, 1:end:2]
+
+
+def double_rows(views: np.ndarray, height: int) -> np.ndarray:
+    """uint16 [K, h, W] -> [K, height, W]: every row twice, the last one to the end."""
+    return views[:, np.minimum(np.arange(height) // 2, views.shape[1] - 1)]
 
 
 def beside(views: np.ndarray, reach: int) -> np.ndarray:

@@ -47,6 +47,29 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   small_static[out] = static_cast<uint8_t>(all);
 }
 
+// Every two rows: colour uint8 [V, H, W, 3] -> small [V, H / 2, W, 3], halves up; is_static uint8 [V, H, W]
+// -> [V, H / 2, W], both of them.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    half_rows(const uint8_t* __restrict__ colour, const uint8_t* __restrict__ is_static, int height,
+              int width, uint8_t* __restrict__ small, uint8_t* __restrict__ small_static) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height / 2) return;
+  const size_t above = index(view, height, width, 2 * y, x), below = above + width,
+               out = index(view, height / 2, width, y, x);
+  for (int c = 0; c < 3; ++c)
+    small[3 * out + c] = static_cast<uint8_t>((colour[3 * above + c] + colour[3 * below + c] + 1) >> 1);
+  small_static[out] = is_static[above] & is_static[below];
+}
+
+// Every row of [V, h, W] twice, the last one to the end: [V, H, W].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    double_rows(const uint16_t* __restrict__ in, int rows, int width, int height,
+                uint16_t* __restrict__ out) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height) return;
+  out[index(view, height, width, y, x)] = in[index(view, rows, width, min(y / 2, rows - 1), x)];
+}
+
 // Every pixel of [V, h, w] repeated ratio x ratio times, the last ones as often as it takes; times `factor`.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     enlarge_bytes(const uint8_t* __restrict__ in, int height, int width, int ratio, int factor,
