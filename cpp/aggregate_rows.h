@@ -523,7 +523,7 @@ inline void pick_run(const Row& r, int x, int end, int first) {
     Pick* const to = picks + x;
     __builtin_memcpy(to, sums + best - 1, sizeof *to);
     to->best = static_cast<int16_t>(first + best);
-    if (best == 0 || best == N * L - 1) to->left = kNone;
+    if (best == 0 || best == N * L - 1) to->left = to->right = kNone;
   }
 }
 
@@ -540,7 +540,8 @@ inline void pick_any(const Row& r, const Run& run) {
     }
     const bool inner = place > 0 && place + 1 < kMostChunks * kChunk &&
                        (active >> (place - 1) / kChunk & 1) && (active >> (place + 1) / kChunk & 1);
-    r.picks[x] = {inner ? sums[best - 1] : kNone, sums[best], sums[best + 1], static_cast<int16_t>(place)};
+    r.picks[x] = {inner ? sums[best - 1] : kNone, sums[best], inner ? sums[best + 1] : kNone,
+                  static_cast<int16_t>(place)};
   }
 }
 

@@ -297,6 +297,22 @@ def test_aggregate(name, kind, paths):
         )
 
 
+@pytest.mark.parametrize("before", [0, 20000, 32767, 65535])
+def test_aggregate_does_not_depend_on_what_was_in_its_memory(monkeypatch, before):
+    monkeypatch.setattr(
+        cpu.workspace, "empty", lambda shape, kind: np.full(shape, np.array(before, np.uint16).astype(kind), kind)
+    )
+    rng = np.random.default_rng(2)
+    shape, grid = (41, 60), DisparityGrid(3, 5, 64)
+    image, static = rng.integers(0, 256, (*shape, 3), np.uint8), rng.random(shape) < 0.8
+    for kind in KINDS:  # disparities at the ends of what is matched, where there is nothing beside them
+        candidates = some_candidates(grid, shape, kind)
+        costs = rng.integers(0, 256, (candidates.chunks, CHUNK), np.uint8)
+        costs[:, [0, -1]] //= 8
+        given = costs, image, static, candidates, FIRST, 4, np.zeros(shape, np.uint16)
+        assert_same(*(b.aggregate(*given) for b in (reference, cpu)))
+
+
 def scattered(shape: tuple[int, int], chunks: int, kind: str) -> np.ndarray:
     """Active chunks of pixels most of which are not matched at all: uint64 [H, W]."""
     rng = np.random.default_rng(3)
