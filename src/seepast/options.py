@@ -268,7 +268,6 @@ PRESETS: dict[str, Options] = {
         multiview=MultiviewOptions(
             enabled=True, coarsest=4, half_rows=True, rounds=1, spread=2, fine_views=False, around=8, planes=False
         ),
-        people=PeopleOptions(surface_width=250),
     ),
     "accurate": Options(multiview=MultiviewOptions(enabled=True)),
 }
