@@ -31,7 +31,7 @@ from seepast.many import (
 )
 from seepast.people import trusted
 from seepast.pipeline import Clock
-from seepast.surfaces import Look, few_cameras, looks, static_span, surfaces
+from seepast.surfaces import SPARE, Look, few_cameras, looks, static_span, surfaces, well_placed
 
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
@@ -585,6 +585,18 @@ def test_span_of_the_static_scene():
     low, high = span_of(make_scene(5, (140, 64), colour=True))  # the wall is at 12 px, the person at 44
     assert low <= 10
     assert 14 <= high <= 34
+
+
+def test_span_begins_where_few_chunks_are_touched_but_never_above_what_is_seen():
+    geometry, options = replace(make_scene(5, (140, 64), colour=True).geometry, size=(720, 540)), Options.preset("fast")
+    plane = np.linspace(15.5, 16.5, 64)
+    start = well_placed((0.0, 3.2), 80.0, plane, geometry, options)
+    assert 0 <= start <= 3 + SPARE
+    into = (plane - start) % (CHUNK * options.range.step)
+    assert into.min() >= 2 and into.max() <= CHUNK * options.range.step - 2.5, "windows of 2 px within one chunk"
+    for first in (0.5, 4.0, 8.0, 11.0):  # far things, at the end of the search
+        assert 0 <= well_placed((0.0, first - 12), 80.0, plane, geometry, options) <= max(0, first - 12 + SPARE)
+    assert well_placed((-0.4, 3.2), 80.0, plane, geometry, options) >= -1
 
 
 def test_span_where_nothing_is_sure_is_the_whole_search():

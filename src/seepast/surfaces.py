@@ -143,22 +143,24 @@ def static_span(
         return float(np.floor(least)), float(most)
     first, last, *sample = inner * (seen.scale / UNITS)
     margin = max(2.0, 0.04 * (last - first)) + 10
-    low, high = float(np.floor(max(least, first - margin))), float(min(most, last + margin))
-    return well_placed(low, high, least, np.array(sample), geometry, options), high
+    high = float(min(most, last + margin))
+    return well_placed((least, first - margin), high, np.array(sample), geometry, options), high
 
 
 def well_placed(
-    low: float, high: float, least: float, sample: np.ndarray, geometry: ArrayGeometry, options: Options
+    lows: tuple[float, float], high: float, sample: np.ndarray, geometry: ArrayGeometry, options: Options
 ) -> float:
-    """`low`, or up to SPARE more or a chunk less, but not below `least`: where the fewest chunks begin.
+    """Where a span up to `high` begins: in whole pixels at the larger of `lows`, or up to a chunk below, but not below
+    the first of them, or up to SPARE above the second: wherever the fewest chunks are matched.
 
     What the coarsest level matches grows with the span; finer ones match every chunk that a window around a disparity
     touches. Where disparities like those of `sample`, float64 [n] px, lie in the middle of chunks, that is one each.
     """
     o, (coarsest, *finer) = options.multiview, scales(geometry, options.multiview)
     length = CHUNK * options.range.step  # px of a level
-    starts = low + SPARE - np.arange(length * max(finer, default=0) + 1)
-    starts = starts[(starts >= least) | (starts == low)]
+    low, highest = np.floor(max(lows)), np.floor(lows[1]) + SPARE
+    starts = max(low, highest) - np.arange(length * max(finer, default=0) + 1)
+    starts = starts[(starts >= lows[0]) | (starts == low)]
     chunks = geometry.cameras * np.ceil((high - starts) / (length * coarsest)) / coarsest**2
     for scale in finer:
         behind = (sample - starts[:, None]) / scale
