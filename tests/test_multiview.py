@@ -540,8 +540,10 @@ def test_the_first_look_is_the_coarser_one(size, scales):
     geometry = replace(case("5, step").geometry, size=size)
     few, every = few_cameras(geometry), tuple(range(5))
     found = [Look(scales[0], few), *(Look(scale, every) for scale in scales)]
-    assert looks(geometry, Options.preset("accurate")) == found
-    assert looks(geometry, Options.preset("fast")) == found[:2]
+    for preset in ("accurate", "fast"):
+        assert looks(geometry, Options.preset(preset)) == found
+    coarse = Options.preset("fast").updated({"people.surface_width": 250})
+    assert looks(geometry, coarse) == found[:2]
 
 
 @pytest.mark.parametrize(
