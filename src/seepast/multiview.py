@@ -153,7 +153,7 @@ def at_level(
             features, [views[k] for k in matched], [candidates[k] for k in matched], PairCosts.of(o)
         )
         costs = dict(zip(matched, of_matched, strict=True))
-        del features  # a tenth of the memory
+        del features  # on a GPU they are large, and nobody asks for them again
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
         # where views are matched around people only, the coarser level told the others all that this one knows
         voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]

@@ -75,7 +75,7 @@ class RangeOptions(StageOptions):
 class RectifyOptions(StageOptions):
     """How images become rectified views (stage "rectify"); masks are always sampled linearly."""
 
-    interpolation: str = choice("cubic", ("cubic", "linear"), "linear is five times as fast, and blurs a little")
+    interpolation: str = choice("cubic", ("cubic", "linear"), "linear is faster, and blurs a little")
 
 
 @dataclass(frozen=True)

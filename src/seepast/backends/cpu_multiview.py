@@ -139,10 +139,8 @@ def windows_of_views(
     whole: int = -1,
 ) -> list[Candidates]:
     K = len(disparity)
-    active, start = (
-        workspace.empty((K, *shape), np.uint64),
-        workspace.empty((K, shape[0] * shape[1] + 1), np.int32),
-    )
+    active = workspace.empty((K, *shape), np.uint64)
+    start = workspace.empty((K, shape[0] * shape[1] + 1), np.int32)
     for k in range(K):
         kept = EVERY_PIXEL if within is None or k == whole else _bytes(within[k])
         _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, kept, active[k], start[k])
