@@ -41,20 +41,22 @@ struct Layout {
     entries = lines(kGuard + slots * pitch);
     line = lines(2 * kGuard + count);
     steps = lines(width + 2);
-    plane = steps * (height + 1);
+    plane = lines(steps * (height + 1));
     totals = std::min(chunks, static_cast<size_t>(width) * (count / kChunk)) * kChunk;
     along = std::min(chunks * kChunk, kRows * totals);
     sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kPartEntries * 3 * width) +
             totals + along;
-    sums = chunks * kChunk;
-    total = 2 * sweep + vertical * plane + sums + kLine;
+    sums = lines(chunks * kChunk);
+    found = 2 * sweep + vertical * plane + sums;
+    total = found + static_cast<size_t>(height) * width + kLine;
   }
 
   size_t vertical, pitch;             // paths from row to row; entries of a column
   size_t slots, entries;              // of one path from row to row
   size_t plane;                       // penalties from row to row
   size_t line, steps, totals, along;  // of one row; path costs, penalties, and the sums of kRows rows
-  size_t sweep, sums, total;
+  size_t sweep, sums;
+  size_t found, total;  // the disparities before their median
 };
 
 constexpr int16_t kNone = -20000;  // the sum of a candidate that is not active: there is no vertex beside it
@@ -181,19 +183,21 @@ struct View {
   int height, width;
 
   size_t at(int y) const { return static_cast<size_t>(y) * width; }
+  size_t chunks() const { return start[at(height)]; }
 };
 
 // Where a view is matched: looked for once, since most of it may be empty.
 class Matched {
  public:
-  explicit Matched(const View& view) : half(view.height / 2), ends(view.height) {
+  explicit Matched(const View& view) : view(view), half(view.height / 2), ends(view.height) {}
+
+  // In the upper half of the rows (0), or the lower one (1).
+  void look(int i) {
     const auto add = loops().runs;
-#pragma omp parallel for schedule(static, 1)
-    for (int i = 0; i < 2; ++i)
-      for (int y = i ? half : 0; y < (i ? view.height : half); ++y) {
-        add(view.active + view.at(y), view.width, runs[i]);
-        ends[y] = runs[i].size();
-      }
+    for (int y = i ? half : 0; y < (i ? view.height : half); ++y) {
+      add(view.active + view.at(y), view.width, runs[i]);
+      ends[y] = runs[i].size();
+    }
   }
 
   Runs row(int y) const {
@@ -213,6 +217,7 @@ class Matched {
   }
 
  private:
+  const View& view;
   int half;
   std::vector<Run> runs[2];  // of the rows before `half`, and the others
   std::vector<size_t> ends;  // how many of them there are until each row's end
@@ -341,37 +346,88 @@ struct Sweep {
   int16_t *entries, *planes, *line_entries, *line_steps, *picks, *parts, *totals, *along;
 };
 
+// One view's two sweeps, and what they share.
+struct Aggregation {
+  Aggregation(const View& view, const uint16_t* otherwise, uint16_t* out, const Layout& layout,
+              int16_t* memory)
+      : view(view), matched(this->view), otherwise(otherwise), out(out), layout(layout), memory(memory) {}
+  Aggregation(const Aggregation&) = delete;
+
+  // Half i of the rows before any sweep.
+  void look(int i) {
+    matched.look(i);
+    const int half = view.height / 2, from = i ? half : 0, to = i ? view.height : half;
+    std::copy_n(otherwise + view.at(from), view.at(to - from), found() + view.at(from));
+  }
+
+  void begin(const Grid& grid, const Large& large, int small, bool bytes) {
+    int16_t* const planes = memory + 2 * layout.sweep;
+    for (const int direction : {1, -1})
+      sweeps.emplace_back(view, matched, grid, large, small, layout, direction,
+                          memory + (direction > 0 ? 0 : layout.sweep), planes,
+                          planes + layout.vertical * layout.plane, bytes);
+    half = matched.middle();
+  }
+
+  int met(int s) const { return s ? view.height - half : half; }  // rows that a sweep has done when they meet
+  void first(int s) const { sweeps[s].first(met(s)); }
+  void second(int s) const { sweeps[s].second(met(s), found()); }
+  uint16_t* found() const { return reinterpret_cast<uint16_t*>(memory + layout.found); }
+
+  const View view;
+  Matched matched;
+  const uint16_t* otherwise;
+  uint16_t* out;
+  const Layout layout;
+  int16_t* memory;
+  std::vector<Sweep> sweeps;
+  int half = 0;
+};
+
 }  // namespace
 
 size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks) {
   return Layout(height, width, count, paths, chunks).total;
 }
 
-void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
-               const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
-               int paths, uint16_t* scratch, uint16_t* out) {
-  const View view{costs, image, is_static, active, start, height, width};
-  const Matched matched(view);
-  const Layout layout(height, width, grid.count, paths, start[static_cast<size_t>(height) * width]);
-  void* memory = scratch;
-  size_t space = layout.total * sizeof(int16_t);
-  int16_t* base =
-      static_cast<int16_t*>(std::align(2 * kLine, (layout.total - kLine) * sizeof(int16_t), memory, space));
+void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
+                const Penalties& penalties, int paths, uint16_t* scratch) {
   Large large;
   std::copy_n(penalties.large, kColourSteps, large);
   large[kColourSteps] = static_cast<int16_t>(penalties.dynamic);
-  const int most = *std::max_element(large, large + kColourSteps + 1);
-  const bool bytes = layout.vertical == 1 && most < 256;
-  int16_t *planes = base + 2 * layout.sweep, *saved = planes + layout.vertical * layout.plane;
-  const Sweep sweeps[2] = {
-      {view, matched, grid, large, penalties.small, layout, 1, base, planes, saved, bytes},
-      {view, matched, grid, large, penalties.small, layout, -1, base + layout.sweep, planes, saved, bytes}};
-  const int half = matched.middle(),
-            met[2] = {half, height - half};  // rows that each has done when they meet
-#pragma omp parallel for schedule(static, 1)
-  for (int s = 0; s < 2; ++s) sweeps[s].first(met[s]);
-#pragma omp parallel for schedule(static, 1)
-  for (int s = 0; s < 2; ++s) sweeps[s].second(met[s], out);
+  const bool bytes = paths == 4 && *std::max_element(large, large + kColourSteps + 1) < 256;
+  std::vector<std::unique_ptr<Aggregation>> all;
+  for (int i = 0; i < count; ++i) {
+    const AggregatedView& v = views[i];
+    const View view{v.costs, v.image, v.is_static, v.active, v.start, height, width};
+    const Layout layout(height, width, grid.count, paths, view.chunks());
+    void* memory = scratch;
+    size_t space = layout.total * sizeof(int16_t);
+    std::align(sizeof(int16_t) * kLine, space - sizeof(int16_t) * kLine, memory, space);
+    all.push_back(
+        std::make_unique<Aggregation>(view, v.otherwise, v.out, layout, static_cast<int16_t*>(memory)));
+    scratch += layout.total;
+  }
+  // the longest first, so that threads end together
+  std::stable_sort(all.begin(), all.end(),
+                   [](const auto& a, const auto& b) { return a->view.chunks() > b->view.chunks(); });
+#pragma omp parallel
+  {
+    MedianOfRows medians(height, width);
+#pragma omp for schedule(dynamic, 1)
+    for (int i = 0; i < 2 * count; ++i) all[i / 2]->look(i % 2);
+#pragma omp single
+    for (const auto& one : all) one->begin(grid, large, penalties.small, bytes);
+#pragma omp for schedule(dynamic, 1)
+    for (int i = 0; i < 2 * count; ++i) all[i / 2]->first(i % 2);
+#pragma omp for schedule(dynamic, 1)
+    for (int i = 0; i < 2 * count; ++i) all[i / 2]->second(i % 2);
+#pragma omp for schedule(static)
+    for (int row = 0; row < count * height; ++row) {
+      const Aggregation& one = *all[row / height];
+      medians.make(one.found(), row % height, one.out + one.view.at(row % height));
+    }
+  }
 }
 
 }  // namespace seepast

@@ -155,6 +155,13 @@ NB_MODULE(_core, m) {
       free_lock);
 
   m.def(
+      "depth",
+      [](In<float, 2> d, float focal_baseline, Out<float, 2> out) {
+        depth(d.data(), d.size(), focal_baseline, out.data());
+      },
+      free_lock);
+
+  m.def(
       "masks",
       [](In<float, 2> offsets, float cx, float cy, In<uint16_t, 2> labels, In<uint8_t, 3> posterior,
          In<float, 2> d, In<uint8_t, 2> wanted, Out<uint8_t, 3> dynamic, Out<uint8_t, 3> is_static) {

@@ -27,6 +27,20 @@ Array array_of(const In<float, 2>& offsets, float cx, float cy, size_t height, s
           offsets.data()};
 }
 
+// As seen from the i-th of several cameras.
+Array array_of(const In<float, 3>& offsets, const In<float, 2>& centers, size_t i, size_t height,
+               size_t width) {
+  if (offsets.shape(2) != kOffsets || offsets.shape(1) > kMaxCameras)
+    throw std::invalid_argument("offsets must be [n, K <= 16, 5]");
+  const float* center = centers.data() + 2 * i;
+  return {static_cast<int>(offsets.shape(1)),
+          static_cast<int>(height),
+          static_cast<int>(width),
+          center[0],
+          center[1],
+          offsets.data() + i * offsets.shape(1) * kOffsets};
+}
+
 template <class Value>
 void bind_enlarged(nb::module_& m) {
   m.def(
@@ -48,13 +62,14 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "windows",
-      [](In<uint16_t, 2> disparity, In<uint8_t, 2> where, int ratio, const Grid& grid, int reach, int spread,
-         In<uint8_t, 2> within, Out<uint64_t, 2> active, Out<int32_t, 1> start) {
+      [](In<uint16_t, 3> disparity, In<uint8_t, 3> where, int ratio, const Grid& grid, int reach, int spread,
+         In<uint8_t, 3> within, int whole, Out<uint64_t, 3> active, Out<int32_t, 2> start) {
         if (grid.count > kMostChunks * kChunk) throw std::invalid_argument("too many candidates");
-        windows(disparity.data(), where.data(), static_cast<int>(disparity.shape(0)),
-                static_cast<int>(disparity.shape(1)), ratio, grid, reach, spread,
-                within.size() ? within.data() : nullptr, static_cast<int>(active.shape(0)),
-                static_cast<int>(active.shape(1)), active.data(), start.data());
+        windows(static_cast<int>(disparity.shape(0)), disparity.data(), where.data(),
+                static_cast<int>(disparity.shape(1)), static_cast<int>(disparity.shape(2)), ratio, grid,
+                reach, spread, within.size() ? within.data() : nullptr, whole,
+                static_cast<int>(active.shape(1)), static_cast<int>(active.shape(2)), active.data(),
+                start.data());
       },
       free_lock);
 
@@ -105,14 +120,7 @@ void bind_multiview(nb::module_& m) {
         const int32_t* pair = pairs.data();
         uint8_t* to = out.data();
         for (size_t i = 0; i < numbers.size(); ++i) {
-          const size_t cameras = offsets.shape(1);
-          const float* center = centers.data() + 2 * i;
-          const Array array{static_cast<int>(cameras),
-                            static_cast<int>(active.shape(1)),
-                            static_cast<int>(active.shape(2)),
-                            center[0],
-                            center[1],
-                            offsets.data() + i * cameras * kOffsets};
+          const Array array = array_of(offsets, centers, i, active.shape(1), active.shape(2));
           const int32_t *begin = start.data() + i * start.shape(1), *count = counts.data() + 2 * i;
           const Pairs with_own{pair, count[0]}, others{pair + 2 * count[0], count[1]};
           views.push_back(
@@ -128,13 +136,23 @@ void bind_multiview(nb::module_& m) {
 
   m.def("aggregate_scratch", &aggregate_scratch);
   m.def(
-      "aggregate",
-      [](In<uint8_t, 2> costs, In<uint8_t, 3> image, In<uint8_t, 2> is_static, const Grid& grid,
-         In<uint64_t, 2> active, In<int32_t, 1> start, int small, In<uint16_t, 1> large, int dynamic,
-         int paths, Out<uint16_t, 1> scratch, Out<uint16_t, 2> out) {
-        aggregate(costs.data(), image.data(), is_static.data(), static_cast<int>(out.shape(0)),
-                  static_cast<int>(out.shape(1)), grid, active.data(), start.data(),
-                  Penalties{small, large.data(), dynamic}, paths, scratch.data(), out.data());
+      "aggregates",
+      [](In<uint8_t, 2> costs, In<uint8_t, 4> images, In<uint8_t, 3> is_static, const Grid& grid,
+         In<uint64_t, 3> active, In<int32_t, 2> start, int small, In<uint16_t, 1> large, int dynamic,
+         int paths, In<uint16_t, 3> otherwise, Out<uint16_t, 1> scratch, Out<uint16_t, 3> out) {
+        std::vector<AggregatedView> views;
+        const size_t pixels = out.shape(1) * out.shape(2);
+        const uint8_t* of_view = costs.data();
+        for (size_t i = 0; i < out.shape(0); ++i) {
+          const int32_t* begin = start.data() + i * start.shape(1);
+          const size_t at = i * pixels;
+          views.push_back({of_view, images.data() + 3 * at, is_static.data() + at, active.data() + at, begin,
+                           otherwise.data() + at, out.data() + at});
+          of_view += static_cast<size_t>(kChunk) * begin[pixels];
+        }
+        aggregates(views.data(), static_cast<int>(views.size()), static_cast<int>(out.shape(1)),
+                   static_cast<int>(out.shape(2)), grid, Penalties{small, large.data(), dynamic}, paths,
+                   scratch.data());
       },
       free_lock);
 
@@ -159,11 +177,10 @@ void bind_multiview(nb::module_& m) {
       "labels",
       [](In<float, 2> offsets, float cx, float cy, int reference, In<uint16_t, 2> d,
          In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<uint8_t, 2> wanted, int tolerance,
-         int near, Out<uint16_t, 2> shown, Out<uint16_t, 2> passing, Out<uint8_t, 2> close) {
+         int near, Out<uint16_t, 2> shown, Out<uint16_t, 2> rays, Out<uint8_t, 2> close) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
         labels(array, reference, d.data(), disparities.data(), is_static.data(),
-               wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), passing.data(),
-               close.data());
+               wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), rays.data(), close.data());
       },
       free_lock);
 
@@ -173,6 +190,16 @@ void bind_multiview(nb::module_& m) {
          In<uint16_t, 1> steps, Out<uint8_t, 2> out) {
         evidence(static_cast<int>(d.shape(0)), static_cast<int>(d.shape(1)), d.data(), is_static.data(),
                  close.data(), shown.data(), steps.data(), out.data());
+      },
+      free_lock);
+
+  m.def(
+      "told",
+      [](In<uint16_t, 2> d, In<uint8_t, 2> evidence, In<float, 1> table, In<uint16_t, 2> labels,
+         In<uint8_t, 2> keep, Out<float, 2> disparity, Out<float, 2> confidence, Out<uint8_t, 2> coverage) {
+        if (table.size() != 256) throw std::invalid_argument("table must be [256]");
+        told(d.data(), evidence.data(), table.data(), labels.data(), keep.size() ? keep.data() : nullptr,
+             d.size(), disparity.data(), confidence.data(), coverage.data());
       },
       free_lock);
 
@@ -193,14 +220,21 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "graded",
-      [](In<float, 2> offsets, float cx, float cy, int view, In<uint16_t, 2> d, In<uint16_t, 3> disparities,
-         In<uint8_t, 3> is_static, In<int32_t, 1> start, int tolerance, uint8_t confident, uint8_t lone,
-         uint8_t doubtful, Out<uint8_t, 2> confidence, Out<uint8_t, 2> sure) {
-        const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
-        if (array.cameras < 2) throw std::invalid_argument("one camera has no witnesses");
-        graded(array, view, d.data(), disparities.data(), is_static.data(),
-               start.size() ? start.data() : nullptr, tolerance, Grades{confident, lone, doubtful},
-               confidence.data(), sure.data());
+      [](In<float, 3> offsets, In<float, 2> centers, In<int32_t, 1> numbers, In<int32_t, 1> places,
+         In<uint16_t, 3> d, In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<int32_t, 2> start,
+         int tolerance, uint8_t confident, uint8_t lone, uint8_t doubtful, Out<uint8_t, 3> confidence,
+         Out<uint8_t, 3> sure) {
+        std::vector<GradedView> views;
+        for (size_t i = 0; i < numbers.size(); ++i) {
+          const Array array = array_of(offsets, centers, i, d.shape(1), d.shape(2));
+          if (array.cameras < 2) throw std::invalid_argument("one camera has no witnesses");
+          const size_t at = places.data()[i] * array.pixels();
+          views.push_back({array, numbers.data()[i], d.data() + at,
+                           start.size() ? start.data() + i * start.shape(1) : nullptr,
+                           confidence.data() + at, sure.data() + at});
+        }
+        graded(views.data(), static_cast<int>(views.size()), disparities.data(), is_static.data(), tolerance,
+               Grades{confident, lone, doubtful});
       },
       free_lock);
 

@@ -8,6 +8,8 @@
 namespace seepast {
 namespace {
 
+constexpr size_t kPart = 1 << 14;  // pixels that a thread takes at once
+
 constexpr int kReach = 4;  // confidence.py REACH = 9 pixels across
 constexpr int kAcross = 2 * kReach + 1;
 constexpr int kSteps = 7;
@@ -69,6 +71,16 @@ void pack(const uint16_t* __restrict differs, const uint8_t* __restrict is_stati
   }
 }
 
+SEEPAST_CLONES
+void tell(const uint16_t* __restrict d, const uint8_t* __restrict evidence, const float* __restrict table,
+          const uint8_t* keep, int count, float* __restrict disparity, float* __restrict confidence) {
+  for (int x = 0; x < count; ++x) disparity[x] = static_cast<float>(d[x]) / static_cast<float>(kUnits);
+  for (int x = 0; x < count; ++x) confidence[x] = table[evidence[x]];
+  if (!keep) return;
+  for (int x = 0; x < count; ++x) disparity[x] = keep[x] ? 0.0f : disparity[x];
+  for (int x = 0; x < count; ++x) confidence[x] = keep[x] ? 0.0f : confidence[x];
+}
+
 // Rows beyond the image count as clear.
 SEEPAST_CLONES
 void erode(const uint8_t* const* rows, int width, uint8_t* __restrict three, uint8_t* __restrict out) {
@@ -98,8 +110,20 @@ void evidence(int height, int width, const uint16_t* d, const uint8_t* is_static
   }
 }
 
+void told(const uint16_t* d, const uint8_t* evidence, const float* table, const uint16_t* labels,
+          const uint8_t* keep, size_t count, float* disparity, float* confidence, uint8_t* coverage) {
+  const int parts = static_cast<int>((count + kPart - 1) / kPart);
+#pragma omp parallel for schedule(static)
+  for (int i = 0; i < parts; ++i) {
+    const size_t from = i * kPart;
+    const int n = static_cast<int>(std::min(kPart, count - from));
+    tell(d + from, evidence + from, table, keep ? keep + from : nullptr, n, disparity + from,
+         confidence + from);
+    count_rays(labels + from, n, coverage + from);
+  }
+}
+
 void ray_count(const uint16_t* labels, size_t count, uint8_t* out) {
-  constexpr size_t kPart = 1 << 14;
   const int parts = static_cast<int>((count + kPart - 1) / kPart);
 #pragma omp parallel for schedule(static)
   for (int i = 0; i < parts; ++i)

@@ -87,6 +87,9 @@ void segmentation(const Array& array, const uint8_t* descriptors, const uint8_t*
                   const uint8_t* wanted, const SegmentationParams& params, uint16_t* labels,
                   uint8_t* posterior);
 
+// Metres by disparities in px: focal_baseline / d, 0 where d is not above 0.
+void depth(const float* d, size_t count, float focal_baseline, float* out);
+
 void masks(const Array& array, const uint16_t* labels, const uint8_t* posterior, const float* d,
            const uint8_t* wanted, uint8_t* dynamic, uint8_t* is_static);
 

@@ -69,22 +69,26 @@ SEEPAST_CLONES void median_row(const uint16_t* const* sorted, int width, uint16_
 
 }  // namespace
 
+MedianOfRows::MedianOfRows(int height, int width)
+    : height(height), width(width), memory(5 * static_cast<size_t>(width + 4)) {
+  for (int i = 0; i < 5; ++i) sorted[i] = memory.data() + i * static_cast<size_t>(width + 4);
+}
+
+void MedianOfRows::make(const uint16_t* image, int y, uint16_t* out) {
+  const uint16_t* rows[5];
+  for (int i = 0; i < 5; ++i)
+    rows[i] = image + static_cast<size_t>(std::clamp(y + i - 2, 0, height - 1)) * width;
+  sort_columns(rows, width, sorted);
+  for (uint16_t* s : sorted) s[0] = s[1] = s[2], s[width + 2] = s[width + 3] = s[width + 1];
+  median_row(sorted, width, out);
+}
+
 void median(const uint16_t* image, int height, int width, uint16_t* out) {
 #pragma omp parallel
   {
-    const size_t pitch = width + 4;
-    std::vector<uint16_t> memory(5 * pitch);
-    uint16_t* sorted[5];
-    for (int i = 0; i < 5; ++i) sorted[i] = memory.data() + i * pitch;
+    MedianOfRows rows(height, width);
 #pragma omp for schedule(static)
-    for (int y = 0; y < height; ++y) {
-      const uint16_t* rows[5];
-      for (int i = 0; i < 5; ++i)
-        rows[i] = image + static_cast<size_t>(std::clamp(y + i - 2, 0, height - 1)) * width;
-      sort_columns(rows, width, sorted);
-      for (uint16_t* s : sorted) s[0] = s[1] = s[2], s[width + 2] = s[width + 3] = s[width + 1];
-      median_row(sorted, width, out + static_cast<size_t>(y) * width);
-    }
+    for (int y = 0; y < height; ++y) rows.make(image, y, out + static_cast<size_t>(y) * width);
   }
 }
 

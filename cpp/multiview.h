@@ -3,6 +3,8 @@
 // `array` is seen from.
 #pragma once
 
+#include <vector>
+
 #include "core.h"
 
 namespace seepast {
@@ -20,10 +22,11 @@ struct Chunks {
   const int32_t* start;    // [H W + 1]
 };
 
-// disparity uint16, where uint8 [rows, columns] of views `ratio` times smaller; within uint8 [height, width],
-// or null: everywhere; active uint64 [height, width] and start int32 [height width + 1] are Chunks.
-void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, const uint8_t* within, int height, int width,
+// disparity uint16, where uint8 [views, rows, columns], `ratio` times smaller; within uint8 [views, height,
+// width], or null: everywhere, as it is in view `whole`; active uint64 [views, height, width] and start int32
+// [views, height width + 1] are Chunks.
+void windows(int views, const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
+             const Grid& grid, int reach, int spread, const uint8_t* within, int whole, int height, int width,
              uint64_t* active, int32_t* start);
 
 // colour uint8 [V, H, W, 3], is_static uint8 [V, H, W] -> [V, h, w] of them, scale x scale pixels averaged
@@ -72,33 +75,57 @@ struct Penalties {
   const uint16_t* large;  // [766], by the colour step
   int dynamic;
 };
-// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py). image uint8 [H, W, 3];
-// paths 8 or
-// 4. `scratch`: aggregate_scratch entries that need not be set. out uint16 [H, W]; pixels
-// without a chunk are left as they are.
+// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py); image uint8 [H, W, 3];
+// otherwise uint16 [H, W]: of pixels without a chunk; out uint16 [H, W], the 5 x 5 median of what is found.
+struct AggregatedView {
+  const uint8_t *costs, *image, *is_static;
+  const uint64_t* active;
+  const int32_t* start;
+  const uint16_t* otherwise;
+  uint16_t* out;
+};
+// paths 8 or 4. `scratch`: for every view aggregate_scratch entries that need not be set.
 size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
-void aggregate(const uint8_t* costs, const uint8_t* image, const uint8_t* is_static, int height, int width,
-               const Grid& grid, const uint64_t* active, const int32_t* start, const Penalties& penalties,
-               int paths, uint16_t* scratch, uint16_t* out);
-// Of 5 x 5 pixels; the image's edges continue outside.
+void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
+                const Penalties& penalties, int paths, uint16_t* scratch);
+
+// Medians of 5 x 5 pixels; the image's edges continue outside.
+class MedianOfRows {
+ public:
+  MedianOfRows(int height, int width);
+  // Of row y of image [height, width].
+  void make(const uint16_t* image, int y, uint16_t* out);
+
+ private:
+  int height, width;
+  std::vector<uint16_t> memory;
+  uint16_t* sorted[5];
+};
 void median(const uint16_t* image, int height, int width, uint16_t* out);
 
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
                int skip, int tolerance, uint8_t* agree, uint8_t* farther);
-// `wanted` uint8 [H, W], or null: all pixels. close uint8 [H, W]: how many others differ by `near` at most.
+// `wanted` uint8 [H, W], or null: all pixels; others have their own ray alone. rays: `shown`, or every static
+// ray where that is none. close uint8 [H, W]: how many others differ by `near` at most.
 void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
             const uint8_t* is_static, const uint8_t* wanted, int tolerance, int near, uint16_t* shown,
-            uint16_t* passing, uint8_t* close);
+            uint16_t* rays, uint8_t* close);
 
 struct Grades {
   uint8_t confident, lone, doubtful;  // in 20ths
 };
-// What witnesses make of one of the views: sure where any other agrees. Pixels without chunks (`start` of
-// Chunks; null: none is) get 0 of both.
-void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, const int32_t* start, int tolerance, const Grades& grades,
-            uint8_t* confidence, uint8_t* sure);
+// d uint16 [H, W] of camera `number`, and what witnesses make of it: sure where any other agrees. Pixels
+// without chunks (`start` of Chunks; null: none is) get 0 of both.
+struct GradedView {
+  Array array;
+  int number;
+  const uint16_t* d;
+  const int32_t* start;
+  uint8_t *confidence, *sure;
+};
+void graded(const GradedView* views, int count, const uint16_t* disparities, const uint8_t* is_static,
+            int tolerance, const Grades& grades);
 
 struct VoteWeights {
   int base, gain, hide, volume;
@@ -122,6 +149,9 @@ void planes(int height, int width, const uint16_t* d, const uint8_t* trusted, co
 // confidence.py of_views, all [H, W]; steps [7].
 void evidence(int height, int width, const uint16_t* d, const uint8_t* is_static, const uint8_t* close,
               const uint16_t* shown, const uint16_t* steps, uint8_t* out);
+// host.told: what results say of `count` pixels. table [256]; keep uint8, or null: where the own ray is all.
+void told(const uint16_t* d, const uint8_t* evidence, const float* table, const uint16_t* labels,
+          const uint8_t* keep, size_t count, float* disparity, float* confidence, uint8_t* coverage);
 void ray_count(const uint16_t* labels, size_t count, uint8_t* out);
 // host.clear_of_masks: uint8 [views, H, W], 0 or 1.
 void clear_of_masks(int views, int height, int width, const uint8_t* is_static, uint8_t* clear);

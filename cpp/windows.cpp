@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <cstring>
 #include <numeric>
 #include <vector>
 
@@ -100,45 +101,67 @@ void count_row(const uint64_t* __restrict active, int width, int32_t before, int
 
 }  // namespace
 
-void windows(const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
-             const Grid& grid, int reach, int spread, const uint8_t* within, int height, int width,
+void windows(int views, const uint16_t* disparity, const uint8_t* where, int rows, int columns, int ratio,
+             const Grid& grid, int reach, int spread, const uint8_t* within, int whole, int height, int width,
              uint64_t* active, int32_t* start) {
-  std::vector<int32_t> before(height + 1);  // chunks of all rows before
+  const size_t coarse = static_cast<size_t>(rows) * columns, fine = static_cast<size_t>(height) * width;
+  std::vector<int32_t> before(views * static_cast<size_t>(height + 1));  // chunks of all rows before
   const auto top = [&](int y) { return y < rows ? std::min(height, y * ratio) : height; };
-  const auto row = [&](auto* first, int y) { return first + static_cast<size_t>(y) * width; };
 #pragma omp parallel
   {
     Ring ring(2 * spread + 1, columns);
     std::vector<uint64_t> column(columns + 2 * spread), around(columns);
-    int known = -1;  // the last row in the ring
+    int view = -1, known = -1;  // the last row in the ring, and its view
 #pragma omp for schedule(static)
-    for (int y = 0; y < rows; ++y) {
+    for (int line = 0; line < views * rows; ++line) {
+      const int v = line / rows, y = line % rows;
+      uint64_t* const of_view = active + v * fine;
+      const uint16_t* const d = disparity + v * coarse;
+      const uint8_t* const here = where + v * coarse + static_cast<size_t>(y) * columns;
+      const uint8_t* const kept = within && v != whole ? within + v * fine : nullptr;
+      int32_t* const chunks = before.data() + v * static_cast<size_t>(height + 1) + 1;
+      const auto row = [&](int at) { return static_cast<size_t>(at) * width; };
+      if (!std::memchr(here, 1, columns)) {
+        std::fill_n(of_view + row(top(y)), row(top(y + 1) - top(y)), uint64_t{0});
+        continue;
+      }
+      if (v != view) view = v, known = -1;
       const int first = std::max(0, y - spread), last = std::min(rows - 1, y + spread);
       for (known = std::max(known, first - 1); known < last; ++known)
-        row_bits(disparity + static_cast<size_t>(known + 1) * columns, columns, ratio, grid, reach,
+        row_bits(d + static_cast<size_t>(known + 1) * columns, columns, ratio, grid, reach,
                  ring.row(known + 1));
       std::fill(column.begin(), column.end(), 0);
       for (int j = first; j <= last; ++j) add_row(ring.row(j), columns, column.data() + spread);
-      spread_out(column.data() + spread, where + static_cast<size_t>(y) * columns, columns, spread,
-                 around.data());
-      for (int fine = top(y); fine < top(y + 1); ++fine) {
-        uint64_t* const out = row(active, fine);
-        if (fine == top(y) || within)
+      spread_out(column.data() + spread, here, columns, spread, around.data());
+      for (int at = top(y); at < top(y + 1); ++at) {
+        uint64_t* const out = of_view + row(at);
+        if (at == top(y) || kept)
           widen(around.data(), columns, ratio, width, out);
         else
-          std::copy_n(row(active, top(y)), width, out);
-        if (within)
-          before[fine + 1] = keep_within(row(within, fine), width, out);
+          std::copy_n(of_view + row(top(y)), width, out);
+        if (kept)
+          chunks[at] = keep_within(kept + row(at), width, out);
         else
-          before[fine + 1] = fine == top(y) ? chunks_of(out, width) : before[fine];
+          chunks[at] = at == top(y) ? chunks_of(out, width) : chunks[at - 1];
       }
     }
-#pragma omp single
-    for (int y = 0; y < height; ++y) before[y + 1] += before[y];
 #pragma omp for schedule(static)
-    for (int y = 0; y < height; ++y) count_row(row(active, y), width, before[y], row(start, y));
+    for (int v = 0; v < views; ++v) {
+      int32_t* const chunks = before.data() + v * static_cast<size_t>(height + 1);
+      for (int y = 0; y < height; ++y) chunks[y + 1] += chunks[y];
+      start[v * (fine + 1) + fine] = chunks[height];
+    }
+#pragma omp for schedule(static)
+    for (int line = 0; line < views * height; ++line) {
+      const int v = line / height, y = line % height;
+      const int32_t* const chunks = before.data() + v * static_cast<size_t>(height + 1) + y;
+      int32_t* const to = start + v * (fine + 1) + static_cast<size_t>(y) * width;
+      if (chunks[0] == chunks[1])
+        std::fill_n(to, width, chunks[0]);
+      else
+        count_row(active + line * static_cast<size_t>(width), width, chunks[0], to);
+    }
   }
-  start[static_cast<size_t>(height) * width] = before[height];
 }
 
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out) {

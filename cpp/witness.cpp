@@ -231,7 +231,7 @@ void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparitie
 
 void labels(const Array& array, int reference, const uint16_t* d, const uint16_t* disparities,
             const uint8_t* is_static, const uint8_t* wanted, int tolerance, int near, uint16_t* shown,
-            uint16_t* passing, uint8_t* close) {
+            uint16_t* rays, uint8_t* close) {
   const int width = array.width;
 #pragma omp parallel
   {
@@ -245,8 +245,8 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
       int many = width;
       if (wanted) {
         many = chosen(wanted + row, width, landing.x.data());
-        std::fill_n(shown + row, width, uint16_t{0});
-        std::fill_n(passing + row, width, uint16_t{0});
+        std::fill_n(shown + row, width, static_cast<uint16_t>(1 << reference));
+        std::fill_n(rays + row, width, static_cast<uint16_t>(1 << reference));
         std::fill_n(close + row, width, uint8_t{0});
         if (!many) continue;
       }
@@ -261,58 +261,93 @@ void labels(const Array& array, int reference, const uint16_t* d, const uint16_t
         add_labels(landing.seen.data(), landing.expected.data(), landing.count, tolerance, near,
                    static_cast<uint16_t>(1 << k), same.data(), open.data(), nearly.data());
       }
+      for (int i = 0; i < many; ++i) open[i] = same[i] ? same[i] : open[i];
       if (many == width) {
         std::copy_n(same.data(), width, shown + row);
-        std::copy_n(open.data(), width, passing + row);
+        std::copy_n(open.data(), width, rays + row);
         std::copy_n(nearly.data(), width, close + row);
         continue;
       }
       for (int i = 0; i < many; ++i) {
         const size_t at = row + landing.x[i];
-        shown[at] = same[i], passing[at] = open[i], close[at] = nearly[i];
+        shown[at] = same[i], rays[at] = open[i], close[at] = nearly[i];
       }
     }
   }
 }
 
-// Most pixels agree with the nearest camera, and need no other.
-void graded(const Array& array, int view, const uint16_t* d, const uint16_t* disparities,
-            const uint8_t* is_static, const int32_t* start, int tolerance, const Grades& grades,
-            uint8_t* confidence, uint8_t* sure) {
+namespace {
+
+// The other cameras, nearest first: most pixels agree with that, and need no other.
+std::vector<int> others_of(const GradedView& view) {
   std::vector<int> others;
-  for (int k = 0; k < array.cameras; ++k)
-    if (k != view) others.push_back(k);
-  std::stable_sort(others.begin(), others.end(),
-                   [view](int a, int b) { return std::abs(a - view) < std::abs(b - view); });
-  const int width = array.width;
+  for (int k = 0; k < view.array.cameras; ++k)
+    if (k != view.number) others.push_back(k);
+  std::stable_sort(others.begin(), others.end(), [&](int a, int b) {
+    return std::abs(a - view.number) < std::abs(b - view.number);
+  });
+  return others;
+}
+
+// What witnesses make of rows, one after the other.
+struct Grader {
+  Grader(const uint16_t* disparities, const uint8_t* is_static, int tolerance, const Grades& grades,
+         int width)
+      : disparities(disparities),
+        is_static(is_static),
+        tolerance(tolerance),
+        grades(grades),
+        rest(width),
+        agree(rest.room),
+        farther(rest.room) {}
+
+  void grade_row(const GradedView& view, const std::vector<int>& others, int y) {
+    const Array& array = view.array;
+    const int width = array.width;
+    const size_t row = static_cast<size_t>(y) * width;
+    uint8_t *grade = view.confidence + row, *known = view.sure + row;
+    std::fill_n(grade, width, uint8_t{0});
+    std::fill_n(known, width, uint8_t{0});
+    std::iota(rest.x.begin(), rest.x.begin() + width, 0);
+    int left = view.start ? matched(view.start + row, width, rest.x.data()) : width;
+    if (!left) return;
+    for (int i = 0; i < left; ++i) grade[rest.x[i]] = grades.confident, known[rest.x[i]] = 1;
+    rest.pick(view.d + row, left);
+    std::fill_n(farther.begin(), rest.count, uint8_t{0});
+    for (size_t j = 0; left && j < others.size(); ++j) {
+      look(array, others[j], y, disparities, is_static, rest);
+      std::fill_n(agree.begin(), rest.count, uint8_t{0});
+      count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
+                      farther.data());
+      left = rest.leave(left, agree.data(), farther.data());
+    }
+    for (int i = 0; i < left; ++i)
+      grade[rest.x[i]] = farther[i] ? grades.doubtful : grades.lone, known[rest.x[i]] = 0;
+    const uint8_t* open = is_static + view.number * array.pixels() + row;
+    for (int x = 0; x < width; ++x) grade[x] = open[x] ? grade[x] : uint8_t{0};
+  }
+
+  const uint16_t* disparities;
+  const uint8_t* is_static;
+  int tolerance;
+  const Grades& grades;
+  Landing rest;
+  std::vector<uint8_t> agree, farther;
+};
+
+}  // namespace
+
+void graded(const GradedView* views, int count, const uint16_t* disparities, const uint8_t* is_static,
+            int tolerance, const Grades& grades) {
+  std::vector<std::vector<int>> others;
+  for (int i = 0; i < count; ++i) others.push_back(others_of(views[i]));
+  const int height = views[0].array.height;
 #pragma omp parallel
   {
-    Landing rest(width);
-    std::vector<uint8_t> agree(rest.room), farther(rest.room);
-#pragma omp for schedule(dynamic, 8)
-    for (int y = 0; y < array.height; ++y) {
-      const size_t row = static_cast<size_t>(y) * width;
-      uint8_t *grade = confidence + row, *known = sure + row;
-      std::fill_n(grade, width, uint8_t{0});
-      std::fill_n(known, width, uint8_t{0});
-      std::iota(rest.x.begin(), rest.x.begin() + width, 0);
-      int left = start ? matched(start + row, width, rest.x.data()) : width;
-      if (!left) continue;
-      for (int i = 0; i < left; ++i) grade[rest.x[i]] = grades.confident, known[rest.x[i]] = 1;
-      rest.pick(d + row, left);
-      std::fill_n(farther.begin(), rest.count, uint8_t{0});
-      for (size_t j = 0; left && j < others.size(); ++j) {
-        look(array, others[j], y, disparities, is_static, rest);
-        std::fill_n(agree.begin(), rest.count, uint8_t{0});
-        count_witnesses(rest.seen.data(), rest.expected.data(), rest.count, tolerance, agree.data(),
-                        farther.data());
-        left = rest.leave(left, agree.data(), farther.data());
-      }
-      for (int i = 0; i < left; ++i)
-        grade[rest.x[i]] = farther[i] ? grades.doubtful : grades.lone, known[rest.x[i]] = 0;
-      const uint8_t* open = is_static + view * array.pixels() + row;
-      for (int x = 0; x < width; ++x) grade[x] = open[x] ? grade[x] : uint8_t{0};
-    }
+    Grader grader(disparities, is_static, tolerance, grades, views[0].array.width);
+#pragma omp for schedule(dynamic, 16)
+    for (int line = 0; line < count * height; ++line)
+      grader.grade_row(views[line / height], others[line / height], line % height);
   }
 }
 

@@ -21,6 +21,7 @@ and left out: what it says about synthetic scenes is wrong for real ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -41,7 +42,7 @@ class Calibration:
     support: tuple[tuple[tuple[float, ...], ...], ...]
     flat: tuple[float, ...]
 
-    @property
+    @cached_property
     def table(self) -> np.ndarray:
         """float32 [256], P of every evidence byte; 0 where no camera sees the pixel."""
         odds = np.asarray(self.support, np.float64)[..., None] + np.asarray(self.flat, np.float64)

@@ -12,6 +12,7 @@ Conventions, used everywhere in seepast:
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -56,7 +57,7 @@ class ArrayGeometry:
         """f * B in px * m: depth = focal_baseline / disparity."""
         return self.focal[0] * self.baseline
 
-    @property
+    @cached_property
     def offsets(self) -> np.ndarray:
         """float32[K, 5] of (ax, ay, az, sx, sy): W_k(x, d) = c + (x - c - d (ax, ay)) / (1 - d az) + (sx, sy).
 
@@ -64,7 +65,14 @@ class ArrayGeometry:
         """
         fx, fy = self.focal
         unit = self.positions / self.baseline
-        return np.column_stack([unit[:, 0], unit[:, 1] * (fy / fx), unit[:, 2] / fx, self.shifts]).astype(np.float32)
+        found = np.column_stack([unit[:, 0], unit[:, 1] * (fy / fx), unit[:, 2] / fx, self.shifts]).astype(np.float32)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
+    def views(self) -> tuple[ArrayGeometry, ...]:
+        """The array as seen from every camera."""
+        return tuple(self.seen_from(k) for k in range(self.cameras))
 
     def seen_from(self, camera: int) -> ArrayGeometry:
         """The same array with another camera as its origin; disparities keep the unit (px over *this* B).

@@ -44,7 +44,7 @@ class Level:
     @property
     def views(self) -> tuple[ArrayGeometry, ...]:
         """The array as seen from every camera."""
-        return _views(self.geometry)
+        return self.geometry.views
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,6 @@ def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:
     while 2 * found[0] <= min(o.coarsest, height) and width // (2 * found[0]) >= LEAST_WIDTH:
         found.insert(0, 2 * found[0])
     return found
-
-
-@lru_cache(maxsize=64)
-def _views(geometry: ArrayGeometry) -> tuple[ArrayGeometry, ...]:
-    return tuple(geometry.seen_from(k) for k in range(geometry.cameras))
 
 
 @lru_cache(maxsize=64)  # the same object for every frame: backends keep tables by it

@@ -57,7 +57,7 @@ def see_past(
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
             whole = seen.at_full_size(dynamic.shape[1:], backend)
             dynamic = refine_people(frame, whole, geometry, options.people, people)
-    static = dynamic <= 254 * (1 - o.threshold)
+    static = dynamic <= np.uint8(254 * (1 - o.threshold))
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options, backend)
 
@@ -68,22 +68,19 @@ def see_past(
     with clock("labels"):  # S^k: ray k is static and |D_k(x^k) - d| <= label_tolerance
         wanted = ~keep if dynamic_only else None
         tolerance = round(UNITS * o.label_tolerance)
-        shown, passing, close = backend.labels(d, disparities, static, geometry, tolerance, wanted)
+        shown, rays, close = backend.labels(d, disparities, static, geometry, tolerance, wanted)
     with clock("refocus"):  # I* = sum_k w_k S^k I_k(x^k) / sum_k w_k S^k
         kept = keep if options.refocus.keep_reference or dynamic_only else np.zeros_like(keep)
-        background = picture(colour, shown, passing, static, geometry, d, kept, options, backend)
+        background = picture(colour, rays, static, geometry, d, kept, options, backend)
     with clock("confidence"):  # P(|d - truth| <= 1 px)
         evidence = backend.evidence(d, keep, close, shown)
-        sure = backend.probability(evidence, confidence.calibration(options).table)
-    disparity = d.astype(np.float32) / np.float32(UNITS)
-    if dynamic_only:  # the rest keeps its own ray, and no disparity
-        shown = np.where(keep, np.uint16(1 << r), shown)
-        disparity, sure = np.where(keep, np.float32(0), disparity), np.where(keep, np.float32(0), sure)
+        table = confidence.calibration(options).table
+        disparity, sure, coverage = backend.told(d, evidence, table, shown, keep if dynamic_only else None)
     return {
         "background": background[..., : frame.colour.shape[-1]],
         "disparity": disparity,
         "confidence": sure,
-        "coverage": backend.ray_count(shown),
+        "coverage": coverage,
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
@@ -341,8 +338,7 @@ def confirmed(
 
 def picture(
     colour: np.ndarray,
-    shown: np.ndarray,
-    passing: np.ndarray,
+    rays: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
     d: np.ndarray,
@@ -350,25 +346,18 @@ def picture(
     options: Options,
     backend: ModuleType,
 ) -> np.ndarray:
-    """Colours: of the rays that show the surface, else of any static ray, else continued from around.
+    """Colours: of the rays uint16 [H, W] (`labels`), or continued from around where there are none.
 
-    `shown`, `passing` uint16 [H, W] from `labels`; keep bool [H, W]: own pixels of the reference. No median: it
-    mends the picture of wrong disparities, and blurs that of right ones.
+    keep bool [H, W]: own pixels of the reference. No median: it mends the picture of wrong disparities, and blurs that
+    of right ones.
     """
-    rays = np.where(shown, shown, passing)
-    background = backend.blend(
-        colour,
-        rays,
-        backend.clear_of_masks(static),
-        camera_weights(geometry, options.multiview),
-        options.multiview.edge_weight,
-        geometry,
-        d,
-        ~keep,
-    )
-    seen = ((rays > 0) | keep).astype(np.uint8)
+    clear, near = backend.clear_of_masks(static), camera_weights(geometry, options.multiview)
+    background = backend.blend(colour, rays, clear, near, options.multiview.edge_weight, geometry, d, ~keep)
+    seen = rays > 0
     if not seen.all():
-        background = backend.fill_unseen(background, seen, d.astype(np.float32) / np.float32(UNITS))
+        background = backend.fill_unseen(
+            background, seen.view(np.uint8), d.astype(np.float32) / np.float32(UNITS)
+        )
     return background
 
 

@@ -191,7 +191,9 @@ class PeopleOptions(StageOptions):
     first_width: int = option(250, "px", 32, 4096, "but first on views of no more, which is enough for exact masks")
     working_width: int = option(400, "px", 32, 4096, "object-level steps look at about that many pixels of a row")
     same_surface: float = option(2.0, "px", 0, 64, "views whose disparities differ by less see the same surface")
-    trusted: float = option(0.05, "", 0, 1, "masks that disagree less between views are taken as they are")
+    trusted: float = option(
+        0.45, "reduced px", 0, 16, "masks whose outlines differ by less between views are taken as they are"
+    )
     cell_width: float = option(0.09, "x width", 0.01, 1, "size of an object's cell across")
     cell_height: float = option(0.5, "x height", 0.01, 1, "and down")
     cell_disparity: float = option(0.05, "x nearest", 0.005, 1, "and in disparity")

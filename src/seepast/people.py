@@ -22,7 +22,6 @@ import numpy as np
 
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import reduced
 from .many import UNITS
 from .options import PeopleOptions
 from .rectify import NO_RAY
@@ -40,6 +39,7 @@ MAX_POTENTIAL = 30.0  # nats
 MAX_RATIO = 3.0  # nats that one learnt ratio may say
 ALIKE = 1.1  # views' numbers of people's pixels differ by no more if they see the same
 SPARSE = 4  # every so many-th pixel says enough on whether masks agree
+MOST_OUTLINE = 0.25  # of people's pixels: masks with more of it are torn, and not trusted for that
 BLOCK = 8  # lattice pixels per block of colour moments
 MOMENTS = 14  # 1, b, g, r, bb, bg, br, gg, gr, rr; and of people's pixels 1, b, g, r
 
@@ -88,12 +88,8 @@ def refine_people(
     surfaces  float32 [K, H, W], D_k >= 0: disparity of the nearest surface in every view, people included, px over
               the array
     backend   reference_people or cpu_people
-
-    Masks that agree with one another on nearly every surface point are exact already, and come back as they are.
     """
     saw = backend.witnesses(frame.dynamic, surfaces, geometry, options.same_surface)
-    if backend.disagreement(saw, SPARSE) <= options.trusted:
-        return frame.dynamic
     stride = max(1, round(geometry.size[0] / options.working_width))
     region = object_region(saw, surfaces, geometry, stride, options, backend)
     if region is None:
@@ -127,14 +123,15 @@ def trusted(
 ) -> bool:
     """Whether the masks are exact, by a look at reduced views: then there is nothing to refine, or to look closer at.
 
-    dynamic uint8 [K, H, W] of full-size views. False where reduced views cannot tell. Cameras that were not looked
-    from must have about as many people's pixels as the others: a mask that is missing is noticed.
+    Exact masks differ between views only where a surface is found wrong, along the outline. So what they differ by is
+    compared with how much outline there is: the same for people near and far, in small views and large ones.
+
+    dynamic uint8 [K, H, W] of full-size views. Cameras that were not looked from must have about as many people's
+    pixels as the others: a mask that is missing is noticed.
     """
-    if seen.scale == 1:
-        return False
-    small = reduced(geometry, seen.scale)
     height, width = seen.disparity.shape[1:]
-    there = lattice(dynamic, seen.scale)[:, :height, :width].copy()
+    rows = dynamic[:, :: 1 + seen.half_rows]
+    there = lattice(rows, seen.scale)[:, :height, :width].copy()
     unseen = [k for k in range(len(there)) if k not in seen.cameras]
     if unseen:
         people = [float(((view > 127) & (view != NO_RAY)).mean()) for view in there]
@@ -144,8 +141,19 @@ def trusted(
         for k in unseen:
             there[k] = NO_RAY
     surfaces = seen.disparity.astype(np.float32) / np.float32(UNITS)
-    saw = backend.witnesses(there, surfaces, small, options.same_surface / seen.scale)
-    return backend.disagreement(saw, max(1, SPARSE // seen.scale)) <= options.trusted
+    saw = backend.witnesses(there, surfaces, seen.level.geometry, options.same_surface / seen.scale)
+    apart = backend.disagreement(saw, max(1, SPARSE // seen.scale))
+    return apart <= options.trusted * min(outline_share(there), MOST_OUTLINE)
+
+
+def outline_share(dynamic: np.ndarray) -> float:
+    """Of people's pixels in masks uint8 [K, h, w], how many have a neighbour to the sides or above or below that is
+    none; 0 where nobody is there."""
+    person = (dynamic > 127) & (dynamic != NO_RAY)
+    inner = person[:, 1:-1, 1:-1] & person[:, :-2, 1:-1] & person[:, 2:, 1:-1] & person[:, 1:-1, :-2]
+    inside = float((inner & person[:, 1:-1, 2:]).sum())
+    count = float(person.sum())
+    return 1 - inside / count if count else 0.0
 
 
 def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarray | None:

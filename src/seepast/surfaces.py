@@ -9,7 +9,7 @@ import numpy as np
 
 from .candidates import CHUNK, Candidates, DisparityGrid
 from .geometry import ArrayGeometry
-from .levels import Level, level_grid, scales
+from .levels import Level, level_grid, of_half_rows, scales
 from .many import UNITS, PairCosts, Penalties
 from .options import Options
 
@@ -25,6 +25,7 @@ class Look:
 
     scale: int
     cameras: tuple[int, ...]
+    half_rows: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class Surfaces:
     cameras: tuple[int, ...]
     disparity: np.ndarray
     agree: np.ndarray
+    half_rows: bool = False
 
     @property
     def scale(self) -> int:
@@ -65,9 +67,12 @@ def surfaces(
     before  an earlier look: what it found at the same scale is not looked for again
     """
     o = options.multiview
-    if before is None or before.scale != look.scale:
-        level = Level.of(colour, np.ones_like(colour[..., 0], bool), geometry, look.scale, backend)
-        before = Surfaces(level, (), np.zeros_like(level.static, np.uint16), level.static)
+    if before is None or before.scale != look.scale or before.half_rows != look.half_rows:
+        static = np.ones_like(colour[..., 0], bool)
+        if look.half_rows:
+            geometry, (colour, static) = of_half_rows(geometry), backend.half_rows(colour, static)
+        level = Level.of(colour, static, geometry, look.scale, backend)
+        before = Surfaces(level, (), np.zeros_like(level.static, np.uint16), level.static, look.half_rows)
     level, found = before.level, before.disparity
     new = [k for k in look.cameras if k not in before.cameras]
     low, *_, high = search_range(geometry, options).values
@@ -79,18 +84,18 @@ def surfaces(
     of_new = ([of[k] for k in new] for of in (level.colour, level.static))
     for k, view in zip(new, backend.aggregates(volumes, *of_new, candidates, penalties, o.paths), strict=True):
         found[k] = view
-    return _confirmed(level, (*before.cameras, *new), found, every, round(UNITS * o.tolerance), backend)
+    return _confirmed(level, (*before.cameras, *new), found, every, round(UNITS * o.tolerance), backend, look.half_rows)
 
 
 def _confirmed(
-    level: Level, cameras: tuple[int, ...], found: np.ndarray, every: Candidates, tolerance: int, backend: ModuleType
+    level: Level, cameras: tuple[int, ...], found: np.ndarray, every: Candidates, tolerance: int, backend: ModuleType, half: bool
 ) -> Surfaces:
     looked = np.zeros_like(level.static)
     for k in cameras:
         looked[k] = True
     asked = [every if k in cameras else None for k in range(len(found))]
     _, agree = backend.graded_of_views(found, looked, level.views, tolerance, 0, 0, asked)
-    return Surfaces(level, cameras, found, agree)
+    return Surfaces(level, cameras, found, agree, half)
 
 
 def looks(geometry: ArrayGeometry, options: Options) -> list[Look]:
@@ -101,7 +106,8 @@ def looks(geometry: ArrayGeometry, options: Options) -> list[Look]:
     if not o.enabled:
         return [Look(max(1, min(options.multiview.range_scale, width // 64, height)), few)]
     first, close = (_halved(width, height, most) for most in (min(o.first_width, o.surface_width), o.surface_width))
-    return list(dict.fromkeys([Look(first, few), Look(first, every), Look(close, every)]))
+    h = options.multiview.half_rows and height > 1
+    return list(dict.fromkeys([Look(first, few, h), Look(first, every, h), Look(close, every)]))
 
 
 def few_cameras(geometry: ArrayGeometry) -> tuple[int, ...]:
@@ -138,6 +144,9 @@ def static_span(
     """
     least, *_, most = search_range(geometry, options).values
     percentiles = (*INNER, *SAMPLE)
+    if seen.half_rows:
+        end = static.shape[1] // 2 * 2
+        static = static[:, :end:2] & static[:, 1:end:2]
     inner = backend.inner_span(seen.disparity, seen.agree, static, seen.scale, CLEAR // seen.scale, percentiles)
     if inner is None:
         return float(np.floor(least)), float(most)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,7 +16,7 @@ from ..evidence import NATS, POSTERIOR, POSTERIOR_SCALE, prior_costs
 from ..geometry import ArrayGeometry
 from ..options import Options, PriorOptions, RefocusOptions, SupportOptions
 from ..triangulation import delaunay, with_corners
-from .host import QUEUES, after, depth, faults, fetched, input_masks, lane, mark, probability, received, rectified_frame
+from .host import QUEUES, after, faults, fetched, input_masks, lane, mark, probability, received, rectified_frame
 from .reference import (
     FOREGROUND_WEIGHT,
     NEARER,
@@ -32,6 +33,7 @@ from .reference import (
     neighbourhood,
     smooth,
 )
+from .workspace import Workspace
 
 __all__ = [
     "QUEUES",
@@ -59,6 +61,7 @@ __all__ = [
     "support",
 ]
 set_threads = _core.set_threads
+workspace = Workspace()  # of big arrays, used again when nobody holds them any more
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,17 @@ class Features:
 
     gradients: np.ndarray
     descriptors: np.ndarray
+
+
+def depth(disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    out = workspace.empty(disparity.shape, np.float32)
+    _core.depth(disparity, geometry.focal_baseline, out)
+    return out
+
+
+def view_arrays(views: Sequence[ArrayGeometry]) -> tuple[np.ndarray, np.ndarray]:
+    """The array as seen from several cameras: offsets float32 [n, K, 5], centres float32 [n, 2]."""
+    return np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32)
 
 
 def describe(grey: np.ndarray) -> Features:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from ..confidence import CLOSE
 from ..confidence import STEPS as FLATNESS_STEPS
 from ..geometry import ArrayGeometry
 from ..many import CONFIDENT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
-from .cpu import _bytes, _grid
+from .cpu import _bytes, _grid, view_arrays, workspace
 from .host import (
     beside,
     inner_span,
@@ -23,7 +23,6 @@ from .host import (
 )
 from .one_by_one import OneByOne
 from .reference import FOREGROUND_WEIGHT, NEARER
-from .workspace import Workspace
 
 __all__ = [
     "aggregate",
@@ -49,6 +48,7 @@ __all__ = [
     "probability",
     "ray_count",
     "three_channels",
+    "told",
     "volume",
     "volumes",
     "votes",
@@ -59,12 +59,11 @@ __all__ = [
 ]
 
 _views = OneByOne(sys.modules[__name__])
-votes_of_views = _views.votes_of_views
 planes_of_views = _views.planes_of_views
 everything = Candidates.all
-workspace = Workspace()  # of temporary arrays; those that a result may hold are fresh
-EVERYWHERE = np.empty(0, np.int32)  # stands for the starts of chunks of no pixel in particular
+EVERYWHERE = np.empty((0, 0), np.int32)  # stands for the starts of chunks of no pixel in particular
 EVERY_PIXEL = np.empty((0, 0), np.uint8)  # stands for a mask of all pixels
+ALL_PIXELS = np.empty((0, 0, 0), np.uint8)  # and for one of every view
 STEPS = np.array(FLATNESS_STEPS, np.uint16)
 
 
@@ -141,9 +140,10 @@ def windows_of_views(
     K = len(disparity)
     active = workspace.empty((K, *shape), np.uint64)
     start = workspace.empty((K, shape[0] * shape[1] + 1), np.int32)
-    for k in range(K):
-        kept = EVERY_PIXEL if within is None or k == whole else _bytes(within[k])
-        _core.windows(disparity[k], _bytes(where[k]), ratio, _grid(grid), reach, spread, kept, active[k], start[k])
+    kept = ALL_PIXELS if within is None else _bytes(within)
+    _core.windows(
+        np.ascontiguousarray(disparity), _bytes(where), ratio, _grid(grid), reach, spread, kept, whole, active, start
+    )
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
@@ -165,8 +165,7 @@ def volumes(
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
     out = workspace.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
-        np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32),
-        np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), LUMA,
+        *view_arrays(views), np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), LUMA,
         _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
         np.concatenate(pairs), np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale,
         costs.few, costs.colour_cap, costs.lone, costs.unseen, out,
@@ -175,19 +174,34 @@ def volumes(
     return np.split(out, ends[:-1])
 
 
-def _stacked(arrays: list[np.ndarray]) -> np.ndarray:
+def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """np.stack(arrays), without a copy where they lie one behind the other in the memory of one array."""
-    first, whole = arrays[0], arrays[0].base
-    places = [a.ctypes.data - first.ctypes.data for a in arrays]
-    if (
-        isinstance(whole, np.ndarray)
-        and whole.flags.c_contiguous
-        and all(a.base is whole and a.flags.c_contiguous and a.shape == first.shape for a in arrays)
-        and places == [i * first.nbytes for i in range(len(arrays))]
-    ):
-        offset = first.ctypes.data - whole.ctypes.data
-        return np.ndarray((len(arrays), *first.shape), first.dtype, buffer=whole, offset=offset)
+    if isinstance(arrays, np.ndarray):
+        return np.ascontiguousarray(arrays)
+    if all(a.shape == arrays[0].shape for a in arrays) and (found := _in_one(arrays)) is not None:
+        return found.reshape(len(arrays), *arrays[0].shape)
     return np.stack(arrays)
+
+
+def _joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """np.concatenate(arrays), likewise."""
+    if len(arrays) == 1:
+        return np.ascontiguousarray(arrays[0])
+    found = _in_one(arrays)
+    return np.concatenate(arrays) if found is None else found.reshape(-1, *arrays[0].shape[1:])
+
+
+def _in_one(arrays: Sequence[np.ndarray]) -> np.ndarray | None:
+    """All elements as one array, where the arrays lie one behind the other in the memory of one; else None."""
+    first, whole, place = arrays[0], arrays[0].base, arrays[0].ctypes.data
+    if not (isinstance(whole, np.ndarray) and whole.flags.c_contiguous):
+        return None
+    for a in arrays:
+        if not (a.base is whole and a.flags.c_contiguous and a.ctypes.data == place and a.dtype == first.dtype):
+            return None
+        place += a.nbytes
+    offset = first.ctypes.data - whole.ctypes.data
+    return np.ndarray((sum(a.size for a in arrays),), first.dtype, buffer=whole, offset=offset)
 
 
 def aggregate(
@@ -198,20 +212,9 @@ def aggregate(
     penalties: Penalties,
     paths: int = 8,
     otherwise: np.ndarray | None = None,
-    out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """`out`, where the disparities go, must not be `otherwise`."""
-    found = workspace.empty(static.shape, np.uint16)
-    found[...] = UNITS // EIGHTHS * candidates.grid.first if otherwise is None else otherwise
-    size = _core.aggregate_scratch(*static.shape, candidates.grid.count, paths, len(costs))
-    scratch = workspace.empty((size,), np.uint16)
-    _core.aggregate(
-        costs, image, _bytes(static), _grid(candidates.grid), candidates.active, candidates.start, penalties.small,
-        penalties.large, penalties.dynamic, paths, scratch, found,
-    )  # fmt: skip
-    out = workspace.empty(found.shape, np.uint16) if out is None else out
-    _core.median(found, out)
-    return out
+    kept = None if otherwise is None else [otherwise]
+    return aggregates([costs], [image], [static], [candidates], penalties, paths, kept)[0]
 
 
 def aggregates(
@@ -223,10 +226,20 @@ def aggregates(
     paths: int = 8,
     otherwise: Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
-    out = workspace.empty((len(images), *static[0].shape), np.uint16)
-    for i, volume in enumerate(costs):
-        kept = None if otherwise is None else otherwise[i]
-        aggregate(volume, images[i], static[i], candidates[i], penalties, paths, kept, out[i])
+    grid, shape = candidates[0].grid, (len(images), *static[0].shape)
+    out = workspace.empty(shape, np.uint16)
+    if otherwise is None:
+        kept = workspace.empty(shape, np.uint16)
+        kept.fill(UNITS // EIGHTHS * grid.first)
+    else:
+        kept = _stacked(otherwise)
+    need = sum(_core.aggregate_scratch(*shape[1:], grid.count, paths, of.chunks) for of in candidates)
+    scratch = workspace.empty((need,), np.uint16)
+    _core.aggregates(
+        _joined(list(costs)), _stacked(images), _bytes(_stacked(static)), _grid(grid),
+        _stacked([of.active for of in candidates]), _stacked([of.start for of in candidates]), penalties.small,
+        penalties.large, penalties.dynamic, paths, kept, scratch, out,
+    )  # fmt: skip
     return out
 
 
@@ -253,13 +266,13 @@ def labels(
     tolerance: int,
     wanted: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    shown, passing = np.empty(disparity.shape, np.uint16), workspace.empty(disparity.shape, np.uint16)
+    shown, rays = workspace.empty(disparity.shape, np.uint16), workspace.empty(disparity.shape, np.uint16)
     close = workspace.empty(disparity.shape, np.uint8)
     _core.labels(
         geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static),
-        EVERY_PIXEL if wanted is None else _bytes(wanted), tolerance, CLOSE, shown, passing, close,
+        EVERY_PIXEL if wanted is None else _bytes(wanted), tolerance, CLOSE, shown, rays, close,
     )  # fmt: skip
-    return shown, passing, close
+    return shown, rays, close
 
 
 def evidence(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.ndarray) -> np.ndarray:
@@ -268,8 +281,17 @@ def evidence(d: np.ndarray, static: np.ndarray, close: np.ndarray, shown: np.nda
     return out
 
 
+def told(
+    d: np.ndarray, evidence: np.ndarray, table: np.ndarray, shown: np.ndarray, keep: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    disparity, sure = workspace.empty(d.shape, np.float32), workspace.empty(d.shape, np.float32)
+    coverage = workspace.empty(d.shape, np.uint8)
+    _core.told(d, evidence, table, shown, EVERY_PIXEL if keep is None else _bytes(keep), disparity, sure, coverage)
+    return disparity, sure, coverage
+
+
 def ray_count(labels: np.ndarray) -> np.ndarray:
-    out = np.empty(labels.shape, np.uint8)
+    out = workspace.empty(labels.shape, np.uint8)
     _core.ray_count(labels, out)
     return out
 
@@ -289,16 +311,12 @@ def graded(
     lone: int,
     doubtful: int,
     candidates: Candidates | None = None,
-    out: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`out`, if given, is where both go."""
-    start = EVERYWHERE if candidates is None else candidates.start
-    confidence, sure = out or (workspace.empty(disparity.shape, np.uint8), workspace.empty(disparity.shape, bool))
-    _core.graded(
-        geometry.offsets, *geometry.center, geometry.reference, disparity, disparities, _bytes(static), start,
-        tolerance, CONFIDENT, lone, doubtful, confidence, _bytes(sure),
-    )  # fmt: skip
-    return confidence, sure
+    asked = [candidates] if candidates is not None else None
+    confidence, sure = _graded(
+        [geometry], [0], disparity[None], disparities, static, tolerance, lone, doubtful, asked
+    )
+    return confidence[0], sure[0]
 
 
 def graded_of_views(
@@ -310,12 +328,55 @@ def graded_of_views(
     doubtful: int,
     candidates: Sequence[Candidates | None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    confidence, sure = np.zeros(found.shape, np.uint8), np.zeros(found.shape, bool)
-    for k, view in enumerate(views):
-        own = None if candidates is None else candidates[k]
-        if candidates is None or own is not None:
-            graded(found[k], found, static, view, tolerance, lone, doubtful, own, (confidence[k], sure[k]))
+    if candidates is None:
+        return _graded(views, range(len(views)), found, found, static, tolerance, lone, doubtful, None)
+    asked = {k: of for k, of in enumerate(candidates) if of is not None}
+    own = [views[k] for k in asked]
+    return _graded(own, list(asked), found, found, static, tolerance, lone, doubtful, list(asked.values()))
+
+
+def _graded(
+    views: Sequence[ArrayGeometry],
+    places: Sequence[int],
+    found: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    tolerance: int,
+    lone: int,
+    doubtful: int,
+    candidates: Sequence[Candidates] | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`graded` of the views whose disparities are at `places` of found [n, H, W]; 0 elsewhere."""
+    confidence, sure = workspace.empty(found.shape, np.uint8), workspace.empty(found.shape, bool)
+    for i in set(range(len(found))).difference(places):
+        confidence[i] = sure[i] = 0
+    if not views:
+        return confidence, sure
+    start = EVERYWHERE if candidates is None else _stacked([of.start for of in candidates])
+    _core.graded(
+        *view_arrays(views), np.array([v.reference for v in views], np.int32), np.array(places, np.int32),
+        np.ascontiguousarray(found), disparities, _bytes(static), start, tolerance, CONFIDENT, lone, doubtful,
+        confidence, _bytes(sure),
+    )  # fmt: skip
     return confidence, sure
+
+
+def votes_of_views(
+    costs: Sequence[np.ndarray],
+    disparities: np.ndarray,
+    confidence: np.ndarray,
+    statics: Sequence[np.ndarray],
+    views: Sequence[ArrayGeometry],
+    candidates: Sequence[Candidates],
+    skips: Sequence[int],
+    weights: VoteWeights,
+) -> Iterator[np.ndarray]:
+    """One behind the other in one array, so that `aggregates` can take them as they are."""
+    joined = workspace.empty((sum(map(len, costs)), CHUNK), np.uint8)
+    of_views = np.split(joined, np.cumsum([len(c) for c in costs])[:-1])
+    for volume, static, view, of, skip, out in zip(costs, statics, views, candidates, skips, of_views, strict=True):
+        np.copyto(out, volume)
+        yield votes(volume, disparities, confidence, static, view, of, skip, weights, out)
 
 
 def votes(
@@ -362,7 +423,7 @@ def blend(
     disparity: np.ndarray,
     wanted: np.ndarray,
 ) -> np.ndarray:
-    out = np.empty(colour.shape[1:], np.uint8)
+    out = workspace.empty(colour.shape[1:], np.uint8)
     _core.blend(
         geometry.offsets,
         *geometry.center,
@@ -380,6 +441,7 @@ def blend(
 
 
 def fill_unseen(background: np.ndarray, coverage: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    out = background.copy()
+    out = workspace.empty(background.shape, np.uint8)
+    np.copyto(out, background)
     _core.fill_unseen(coverage, disparity, NEARER, FOREGROUND_WEIGHT, out)
     return out

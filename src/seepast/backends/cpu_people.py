@@ -7,6 +7,7 @@ import numpy as np
 from .. import _core
 from ..geometry import ArrayGeometry
 from ..people import COLOURS, LEVELS, MOMENTS, Cells, FieldCosts, Terms
+from .cpu import view_arrays
 from .host_people import (  # noqa: F401
     potentials_by,
     probability,
@@ -87,8 +88,7 @@ def field(u: np.ndarray, colour, surfaces, costs: FieldCosts, stride) -> np.ndar
 
 def _views(geometry: ArrayGeometry) -> tuple[np.ndarray, np.ndarray]:
     """The array as seen from each of its cameras: offsets float32 [K, K, 5], centres float32 [K, 2]."""
-    views = [geometry.seen_from(k) for k in range(geometry.cameras)]
-    return np.stack([v.offsets for v in views]), np.array([v.center for v in views], np.float32)
+    return view_arrays(geometry.views)
 
 
 def _cells(cells: Cells) -> _core.Cells:

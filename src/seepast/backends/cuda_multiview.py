@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .cuda import fill_unseen, probability
+from .cuda import fill_unseen
 from .cuda_levels import (
     averaged,
     beside,
@@ -24,7 +24,7 @@ from .cuda_matching import (
     windows,
     windows_of_views,
 )
-from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count
+from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count, told
 from .cuda_votes import graded_of_views, labels, votes, votes_of_views, witnesses
 
 __all__ = [
@@ -47,9 +47,9 @@ __all__ = [
     "landings",
     "planes",
     "planes_of_views",
-    "probability",
     "ray_count",
     "three_channels",
+    "told",
     "volume",
     "volumes",
     "votes",

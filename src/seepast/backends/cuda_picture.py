@@ -11,8 +11,10 @@ from ..geometry import ArrayGeometry
 from ..gpu import device
 from ..gpu.launches import int32, launch_line, launch_tiles, view_table
 from ..gpu.tables import constant
+from ..many import UNITS
+from .cuda import probability
 
-__all__ = ["blend", "evidence", "planes", "planes_of_views", "ray_count"]
+__all__ = ["blend", "evidence", "planes", "planes_of_views", "ray_count", "told"]
 
 PLANE_TILE = (64, 16)  # plane_fit.cu: pixels of a block
 
@@ -50,6 +52,13 @@ def evidence(d, static, close, shown):
     out = device.current().xp.empty(d.shape, np.uint8)
     launch_tiles("witness", "evidence", (1, *d.shape), d, static, close, shown, *int32(*d.shape), out, rows=32)
     return out
+
+
+def told(d, evidence, table: np.ndarray, shown, keep=None):
+    disparity, sure = d.astype(np.float32) / np.float32(UNITS), probability(evidence, table)
+    if keep is not None:
+        disparity, sure = (np.where(keep, np.float32(0), of) for of in (disparity, sure))
+    return disparity, sure, ray_count(shown)
 
 
 def ray_count(labels):

@@ -38,13 +38,13 @@ def _witnesses(found, disparities, static, views, skips, tolerance: int):
 
 def labels(disparity, disparities, static, geometry: ArrayGeometry, tolerance: int, wanted=None):
     xp, shape = device.current().xp, disparity.shape
-    shown, passing, close = xp.empty(shape, np.uint16), xp.empty(shape, np.uint16), xp.empty(shape, np.uint8)
+    shown, rays, close = xp.empty(shape, np.uint16), xp.empty(shape, np.uint16), xp.empty(shape, np.uint8)
     wanted = xp.ones(shape, bool) if wanted is None else wanted
     launch_tiles(
         "witness", "labels", (1, *shape), *view_table(geometry), disparity, disparities, static, wanted,
-        *int32(geometry.reference, geometry.cameras, *shape, tolerance, CLOSE), shown, passing, close,
+        *int32(geometry.reference, geometry.cameras, *shape, tolerance, CLOSE), shown, rays, close,
     )  # fmt: skip
-    return shown, passing, close
+    return shown, rays, close
 
 
 def graded_of_views(

@@ -13,6 +13,7 @@ import numpy as np
 from ..confidence import ray_count
 from ..frames import input_masks, rectified_frame
 from ..geometry import ArrayGeometry
+from ..many import UNITS
 
 __all__ = [
     "QUEUES",
@@ -36,6 +37,7 @@ __all__ = [
     "received",
     "rectified_frame",
     "three_channels",
+    "told",
 ]
 T = TypeVar("T")
 QUEUES = False  # what stages are asked for is done when they return
@@ -78,6 +80,17 @@ def depth(disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
 def probability(evidence: np.ndarray, table: np.ndarray) -> np.ndarray:
     """P(|disparity error| <= 1 px over the array) of evidence bytes: float32, by table float32 [256]."""
     return cv2.LUT(evidence, table)
+
+
+def told(
+    d: np.ndarray, evidence: np.ndarray, table: np.ndarray, shown: np.ndarray, keep: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What results say of every pixel [H, W]: its disparity, float32 px, from d uint16 in 32nds; its probability by
+    evidence; and how many rays show it, uint8. `keep` bool: where only the own ray is known, the first two are 0."""
+    disparity, sure = d.astype(np.float32) / np.float32(UNITS), probability(evidence, table)
+    if keep is not None:
+        disparity, sure = np.where(keep, np.float32(0), disparity), np.where(keep, np.float32(0), sure)
+    return disparity, sure, ray_count(shown)
 
 
 def three_channels(colour: np.ndarray) -> np.ndarray:

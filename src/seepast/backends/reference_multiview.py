@@ -49,6 +49,7 @@ from .host import (
     probability,
     ray_count,
     three_channels,
+    told,
 )
 from .one_by_one import OneByOne
 from .reference import fill_unseen, half_positions, ray_offsets
@@ -78,6 +79,7 @@ __all__ = [
     "probability",
     "ray_count",
     "three_channels",
+    "told",
     "volume",
     "volumes",
     "votes",
@@ -371,11 +373,13 @@ def labels(
     tolerance: int,
     wanted: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which rays show the surface, and which are static at all: uint16 [H, W] both, bit k = ray k; and how many of
-    the other views confirm the disparity within CLOSE: uint8 [H, W]. 0 but where `wanted` bool [H, W], if given.
+    """Which rays show the surface, and which make the picture: uint16 [H, W] both, bit k = ray k; and how many of the
+    other views confirm the disparity within CLOSE: uint8 [H, W].
 
     Ray k shows it where it is static and |D_k(x^k) - d| <= tolerance (32nds of a pixel): a static thing in front has
-    another disparity and must not lend its colour. The view's own ray does wherever it is static.
+    another disparity and must not lend its colour. The view's own ray does wherever it is static. The picture is made
+    of the rays that show the surface or, where there are none, of all static ones. Pixels that are not `wanted`, bool
+    [H, W] if given, have their own ray alone.
     """
     shown, open_rays = np.zeros(disparity.shape, np.uint16), np.zeros(disparity.shape, np.uint16)
     close = np.zeros(disparity.shape, np.uint8)
@@ -388,7 +392,9 @@ def labels(
         open_rays |= np.where(there, bit, np.uint16(0))
         shown |= np.where(there & ((e <= tolerance) | own), bit, np.uint16(0))
         close += there & (e <= CLOSE) & (not own)
-    return shown, open_rays, close
+    if wanted is not None:
+        shown[~wanted] = open_rays[~wanted] = 1 << geometry.reference
+    return shown, np.where(shown, shown, open_rays), close
 
 
 def votes(

@@ -1,4 +1,4 @@
-"""Memory of the cpu backend's big temporary arrays, used again frame after frame.
+"""Memory of the cpu backend's big arrays, used again frame after frame once nobody holds them any more.
 
 Fresh pages cost more than most of the work in them, and a heap that shrinks between frames, as other software's big
 arrays make it, returns all of them.
@@ -60,7 +60,7 @@ class Workspace(threading.local):
         self._taken += 1
         fitting = [m for m in self._pool if size <= m.bytes.size <= LARGER * size and m.free]
         if not fitting:
-            self._pool = [m for m in self._pool if not (m.free and self._superseded(m, size))]
+            self._pool = [m for m in self._pool if not self._superseded(m, size)]
             fitting = [_Memory(rounded(size))]
             self._pool += fitting
         best = min(fitting, key=lambda m: m.bytes.size)
@@ -68,8 +68,9 @@ class Workspace(threading.local):
         return best.bytes
 
     def _superseded(self, memory: _Memory, size: int) -> bool:
-        """Memory of `size` will do instead, or nobody has asked for as much for long."""
-        return size < LARGER * memory.bytes.size < LARGER * size or self._taken - memory.last_use > FORGOTTEN
+        """Memory of `size` will do instead, or nobody has asked for as much for long; what a user keeps is theirs."""
+        alike = memory.free and size < LARGER * memory.bytes.size < LARGER * size
+        return alike or self._taken - memory.last_use > FORGOTTEN
 
 
 def rounded(size: int) -> int:

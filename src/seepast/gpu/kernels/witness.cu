@@ -81,18 +81,18 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   sure[at] = said.agree > 0;
 }
 
-// Of one view: offsets [K, 5]; d, shown, passing uint16 [H, W]; wanted, close uint8 [H, W].
+// Of one view: offsets [K, 5]; d, shown, rays uint16 [H, W]; wanted, close uint8 [H, W].
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     labels(const float* __restrict__ offsets, float cx, float cy, const uint16_t* __restrict__ d,
            const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
            const uint8_t* __restrict__ wanted, int reference, int cameras, int height, int width,
-           int tolerance, int near, uint16_t* __restrict__ shown, uint16_t* __restrict__ passing,
+           int tolerance, int near, uint16_t* __restrict__ shown, uint16_t* __restrict__ rays,
            uint8_t* __restrict__ close) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
   if (x >= width || y >= height) return;
   const int pixel = y * width + x, units = d[pixel];
   const int asked = wanted[pixel] ? cameras : 0;
-  uint32_t show = 0, pass = 0, confirm = 0;
+  uint32_t show = asked ? 0 : 1u << reference, pass = 0, confirm = 0;
 #pragma unroll 4
   for (int k = 0; k < asked; ++k) {
     const Landing to = land(offsets + kOffsets * k, cx, cy, x, y, units);
@@ -106,7 +106,7 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   }
   close[pixel] = static_cast<uint8_t>(confirm);
   shown[pixel] = static_cast<uint16_t>(show);
-  passing[pixel] = static_cast<uint16_t>(pass);
+  rays[pixel] = static_cast<uint16_t>(show ? show : pass);
 }
 
 // Evidence on the disparities of one view (confidence.py): d, shown uint16, is_static, closes, evidence uint8
