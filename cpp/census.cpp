@@ -146,8 +146,8 @@ Describer::Describer(const DescribedView& view, FeatureRing& ring, int camera)
       full(static_cast<size_t>(kRows) * kPhases * (line / kBlock)) {}
 
 void Describer::describe(int from, int to) {
-  if (from > next + kReach ||
-      from + ring.slots < next) {  // too far on, or back: what lies between is not made
+  // too far on, or so far back that colours sampled since lie in its place: what lies between is not made
+  if (from > next + kReach || from + ring.slots < sampled) {
     next = from;
     sampled = from - kReach;
   }

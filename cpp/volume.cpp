@@ -19,7 +19,7 @@ namespace seepast {
 namespace {
 
 constexpr int kMaxPairs = 64;
-constexpr int kStrip = 32;    // rows that a thread matches one after the other
+constexpr int kStrip = 8;     // rows that a thread matches one after the other
 constexpr int kColumns = 32;  // of a tile
 constexpr int kTileRows = kBlock / kColumns;
 
@@ -44,6 +44,14 @@ struct Run {
   }
 };
 
+// By how many halves of a pixel rays of column x land beside it, at every candidate of every camera.
+SEEPAST_CLONES
+void halves_at(int x, float cx, const float* __restrict zoom, const float* __restrict across,
+               const float* __restrict view, int count, int32_t* __restrict out) {
+  for (int i = 0; i < count; ++i)
+    out[i] = half_offset(ray_dx(RayShift{zoom[i], across[i], 0, view[i], 0}, x, cx));
+}
+
 // Where the columns of every camera are read at every candidate: the same for all rows.
 struct Columns {
   Columns(const Array& array, const Grid& grid)
@@ -51,44 +59,66 @@ struct Columns {
         count(grid.count),
         stride(feature_stride(array.width)),
         tiles((array.width + kColumns - 1) / kColumns),
-        runs(tiles),
-        places(tiles),
-        at(tiles),
-        steps(tiles),
-        starts(tiles) {
-    for (int i = 0; i < count; ++i)
-      for (int k = 0; k < cameras; ++k) shifts.push_back(array.shift(k, grid.value(i)));
+        of_tiles(tiles) {
     for (int k = 0; k < cameras; ++k)
       for (int i = 0; i < count; ++i) {
-        const RayShift& shift = shifts[static_cast<size_t>(i) * cameras + k];
-        zoom.push_back(shift.zoom), down.push_back(shift.y), view.push_back(shift.view_y);
+        const RayShift shift = array.shift(k, grid.value(i));
+        zoom.push_back(shift.zoom), across.push_back(shift.x), view_x.push_back(shift.view_x);
+        down.push_back(shift.y), view_y.push_back(shift.view_y);
       }
-#pragma omp parallel for schedule(static)
-    for (int t = 0; t < tiles; ++t) fill(array, t);
   }
 
-  void fill(const Array& array, int t) {
+  int shifts() const { return static_cast<int>(zoom.size()); }
+
+  // Tile t; `first` and `last` are scratch of shifts() entries.
+  void fill(const Array& array, int t, std::vector<int32_t>& first, std::vector<int32_t>& last) {
     const int from = t * kColumns, to = std::min(from + kColumns, array.width);
-    std::vector<Place> of_runs;  // [run][camera]
+    halves_at(from, array.cx, zoom.data(), across.data(), view_x.data(), shifts(), first.data());
+    halves_at(to - 1, array.cx, zoom.data(), across.data(), view_x.data(), shifts(), last.data());
+    OfTile& tile = of_tiles[t];
+    tile.runs.reserve(count), tile.starts.reserve(count + 1);
     for (int i = 0; i < count; ++i) {
-      starts[t].push_back(static_cast<int32_t>(runs[t].size()));
-      for (int first = from; first < to;) {
-        int last = to;
-        for (int k = 0; k < cameras; ++k)
-          of_runs.push_back(place_of(array, shifts[static_cast<size_t>(i) * cameras + k], from, first, last));
-        runs[t].push_back({first - from, last - from, i});
-        first = last;
+      tile.starts.push_back(static_cast<int32_t>(tile.runs.size()));
+      for (int x = from; x < to;) {
+        const int end = same_until(array, i, x, to, x == from ? first.data() : nullptr, last.data());
+        tile.runs.push_back({x - from, end - from, i});
+        x = end;
       }
     }
-    starts[t].push_back(static_cast<int32_t>(runs[t].size()));
+    const size_t runs = tile.runs.size();
+    tile.starts.push_back(static_cast<int32_t>(runs));
+    tile.places.reserve(cameras * runs), tile.at.reserve(cameras * runs);
+    tile.steps.reserve(cameras * count / kChunk);
     for (int k = 0; k < cameras; ++k) {
-      const size_t first = places[t].size();
-      for (size_t r = 0; r < runs[t].size(); ++r) places[t].push_back(of_runs[r * cameras + k]);
+      for (const Run& run : tile.runs) {
+        const int i = k * count + run.candidate;
+        const Place place = place_of(run.from ? halves(array, i, from + run.from) : first[i], from);
+        tile.places.push_back(place), tile.at.push_back(place.at);
+      }
       for (int i = 0; i < count; i += kChunk)
-        steps[t].push_back(
-            steps_of(places[t].data() + first + starts[t][i], starts[t][i + kChunk] - starts[t][i]));
+        tile.steps.push_back(steps_of(tile.places.data() + k * runs + tile.starts[i],
+                                      tile.starts[i + kChunk] - tile.starts[i]));
     }
-    for (const Place& place : places[t]) at[t].push_back(place.at);
+  }
+
+  int halves(const Array& array, int i, int x) const {
+    return half_offset(ray_dx(RayShift{zoom[i], across[i], 0, view_x[i], 0}, x, array.cx));
+  }
+
+  // From x on the columns, to before `to`, whose rays are moved alike in every camera at a candidate. `first`
+  // and `last`: what is known of the columns x, or null, and to - 1.
+  int same_until(const Array& array, int candidate, int x, int to, const int32_t* first,
+                 const int32_t* last) const {
+    int end = to;
+    for (int k = 0; k < cameras; ++k) {
+      const int i = k * count + candidate;
+      if (zoom[i] == 0 || (first && first[i] == last[i])) continue;
+      bool found = false;
+      for_each_run(
+          x, end, [&](int column) { return halves(array, i, column); },
+          [&](int, int run_end, int) { end = found ? end : run_end, found = true; });
+    }
+    return end;
   }
 
   // The runs of a chunk, as bits, from which on another place is read; 0 where there is more than one per
@@ -103,17 +133,8 @@ struct Columns {
     return steps;
   }
 
-  // Where the tile that starts at `from` is read for column `first`; cuts `last` to the columns that have its
-  // shift.
-  Place place_of(const Array& array, const RayShift& shift, int from, int first, int& last) const {
-    int halves = half_offset(ray_dx(shift, first, array.cx));
-    if (shift.zoom != 0) {
-      int end = last;
-      for_each_run(
-          first, last, [&](int x) { return half_offset(ray_dx(shift, x, array.cx)); },
-          [&](int run, int to, int) { end = run == first ? to : end; });
-      last = end;
-    }
+  // Where the tile that starts at `from` is read for columns whose rays are moved by as many halves.
+  Place place_of(int halves, int from) const {
     const int column = (halves >> 1) + from + kBlock;
     if (column < 0 || column > stride - kColumns) return kNowhere;
     const int phase = halves & 1;
@@ -122,21 +143,23 @@ struct Columns {
             false};
   }
 
+  struct OfTile {
+    std::vector<Run> runs;
+    std::vector<Place> places;    // [camera, run]
+    std::vector<int32_t> at;      // theirs alone
+    std::vector<uint16_t> steps;  // [camera, chunk]: steps_of
+    std::vector<int32_t> starts;  // [candidate]: its first run
+  };
   int cameras, count, stride, tiles;
-  std::vector<RayShift> shifts;              // [candidate][camera]
-  std::vector<float> zoom, down, view;       // theirs, of rows: [camera][candidate]
-  std::vector<std::vector<Run>> runs;        // [tile][run]
-  std::vector<std::vector<Place>> places;    // [tile][camera, run]
-  std::vector<std::vector<int32_t>> at;      // theirs alone
-  std::vector<std::vector<uint16_t>> steps;  // [tile][camera, chunk]: steps_of
-  std::vector<std::vector<int32_t>> starts;  // [tile][candidate]: its first run
+  std::vector<float> zoom, across, view_x, down, view_y;  // [camera, candidate]: of RayShift
+  std::vector<OfTile> of_tiles;
 };
 
 // How many rows below row y rays land at every candidate; `height` rows below or above it is outside in any
 // case.
 SEEPAST_CLONES
 void drops_at(int y, float cy, int height, const Columns& columns, int32_t* __restrict out) {
-  const float *zoom = columns.zoom.data(), *down = columns.down.data(), *view = columns.view.data();
+  const float *zoom = columns.zoom.data(), *down = columns.down.data(), *view = columns.view_y.data();
   const int count = static_cast<int>(columns.zoom.size());
   for (int i = 0; i < count; ++i)
     out[i] = clamp(whole_offset(ray_dy(RayShift{zoom[i], 0, down[i], 0, view[i]}, y, cy)), -height, height);
@@ -145,7 +168,7 @@ void drops_at(int y, float cy, int height, const Columns& columns, int32_t* __re
 // What all rows of a view share.
 struct Volume {
   const MatchedView& view;
-  const Columns columns;
+  Columns columns;
   const PairCostParams& params;
 
   const Array& array() const { return view.array; }
@@ -275,12 +298,19 @@ class Strips {
 };
 
 template <class RowMatcher>
-void match_rows(const std::vector<Volume>& volumes, const std::vector<DescribedView>& described,
+void match_rows(std::vector<Volume>& volumes, const std::vector<DescribedView>& described,
                 const Drop& drop) {
   const int height = described[0].height;
   Strips strips((height + kStrip - 1) / kStrip);
+  const int tiles = volumes[0].columns.tiles, count = static_cast<int>(volumes.size());
 #pragma omp parallel
   {
+    std::vector<int32_t> first(volumes[0].columns.shifts()), last(first.size());
+#pragma omp for schedule(static)
+    for (int i = 0; i < count * tiles; ++i) {
+      Volume& volume = volumes[i / tiles];
+      volume.columns.fill(volume.array(), i % tiles, first, last);
+    }
     Matcher<RowMatcher> matcher(volumes, described, drop);
     for (int strip = strips.next(-1); strip >= 0; strip = strips.next(strip))
       for (int y = kStrip * strip; y < std::min(height, kStrip * (strip + 1)); y += kTileRows)
@@ -291,7 +321,7 @@ void match_rows(const std::vector<Volume>& volumes, const std::vector<DescribedV
 Drop drop_of(const std::vector<Volume>& volumes) {
   Drop drop;
   for (const Volume& volume : volumes) {
-    std::vector<int32_t> drops(volume.columns.shifts.size());
+    std::vector<int32_t> drops(volume.columns.shifts());
     const int height = volume.array().height;
     for (const int y : {0, height - 1}) {  // in between it lies between these
       drops_at(y, volume.array().cy, height, volume.columns, drops.data());

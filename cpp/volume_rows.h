@@ -177,8 +177,8 @@ struct RowMatcher {
 
   RowMatcher(const Volume& volume, const Rows& rows)
       : v(volume), rows(rows), scales(volume.params.census_scale) {
-    for (auto& of_row : drops) of_row.resize(volume.columns.shifts.size());
-    steady.resize(volume.columns.shifts.size() / kChunk);
+    for (auto& of_row : drops) of_row.resize(volume.columns.shifts());
+    steady.resize(volume.columns.shifts() / kChunk);
   }
 
   // The rows [y, end) that `rows` and `drops` are about.
@@ -271,9 +271,10 @@ struct RowMatcher {
   // Asks for what a chunk will look at, all at once.
   void fetch(int t, int chunk) const {
     const Columns& columns = v.columns;
+    const Columns::OfTile& tile = columns.of_tiles[t];
     const size_t candidate = static_cast<size_t>(kChunk) * chunk;
     for (int k = 0; k < v.array().cameras; ++k) {
-      const Place place = columns.places[t][k * columns.runs[t].size() + columns.starts[t][candidate]];
+      const Place place = tile.places[k * tile.runs.size() + tile.starts[candidate]];
       if (k == v.view.number || place.outside) continue;
       for (int j = 0; j < kTileRows; ++j) {
         const uint8_t* at =
@@ -285,9 +286,9 @@ struct RowMatcher {
 
   // The candidates of a chunk for the pixels `wanted` of a tile into `costs`.
   void match_chunk(int t, int chunk, uint64_t wanted) {
-    const Columns& columns = v.columns;
-    const int32_t* starts = columns.starts[t].data() + kChunk * chunk;
-    const Run* runs = columns.runs[t].data();
+    const Columns::OfTile& tile = v.columns.of_tiles[t];
+    const int32_t* starts = tile.starts.data() + kChunk * chunk;
+    const Run* runs = tile.runs.data();
     whole = starts[kChunk] - starts[0] == kChunk;  // one run per candidate
     int count = 0;
     for (int r = starts[0]; r < starts[kChunk]; ++r) {
@@ -304,7 +305,7 @@ struct RowMatcher {
       moved[k] = 1;
       if (k == v.view.number) continue;
       const size_t at = static_cast<size_t>(k) * (v.columns.count / kChunk) + chunk;
-      const uint32_t steps = count == kChunk && steady[at] ? v.columns.steps[t][at] : 0;
+      const uint32_t steps = count == kChunk && steady[at] ? v.columns.of_tiles[t].steps[at] : 0;
       if (steps)
         place_chunk(k, t, chunk, steps);
       else
@@ -316,7 +317,7 @@ struct RowMatcher {
       const uint32_t sure_of_mine = mine ? match_pairs(v.view.with_own, with_own, count, x) : ~0u,
                      sure_of_theirs = mine != here ? match_pairs(v.view.others, others, count, x) : ~0u;
       for (int i = 0; i < count; ++i) {
-        const Run& run = v.columns.runs[t][chosen[i]];
+        const Run& run = v.columns.of_tiles[t].runs[chosen[i]];
         const bool sure = (sure_of_mine & sure_of_theirs) >> i & 1;
         const Lanes cost = cost_of(x, i, mine, mine != here, sure);
         uint8_t* const to = costs[run.candidate % kChunk] + x;
@@ -331,10 +332,11 @@ struct RowMatcher {
   // Where camera k is read for all runs of a chunk, which are on the same rows, and from which on elsewhere.
   void place_chunk(int k, int t, int chunk, uint32_t steps) {
     const Columns& columns = v.columns;
-    const size_t first = k * columns.runs[t].size() + columns.starts[t][kChunk * chunk],
+    const Columns::OfTile& tile = columns.of_tiles[t];
+    const size_t first = k * tile.runs.size() + tile.starts[kChunk * chunk],
                  candidate = static_cast<size_t>(k) * columns.count + kChunk * chunk;
-    const Place* const places = columns.places[t].data() + first;
-    const int32_t* const at = columns.at[t].data() + first;
+    const Place* const places = tile.places.data() + first;
+    const int32_t* const at = tile.at.data() + first;
     const uint8_t *const row = rows.of(k)[drops[0][candidate]], *const below =
                                                                     rows.of(k)[drops[1][candidate] + 1];
     for (int i = 0; i < kChunk; ++i) tiles[k][0][i] = row + at[i];
@@ -352,13 +354,14 @@ struct RowMatcher {
   // The same for the chosen runs.
   void place_runs(int k, int t, int count) {
     const Columns& columns = v.columns;
-    const Place* const places = columns.places[t].data() + k * columns.runs[t].size();
+    const Columns::OfTile& tile = columns.of_tiles[t];
+    const Place* const places = tile.places.data() + k * tile.runs.size();
     const size_t candidates = static_cast<size_t>(k) * columns.count;
     const uint8_t **const first = tiles[k][0], **const second = tiles[k][1];
     uint32_t elsewhere = 0, is_clear = 0, is_blind = 0;
     for (int i = 0; i < count; ++i) {
       const Place place = places[chosen[i]];
-      const size_t candidate = candidates + columns.runs[t][chosen[i]].candidate;
+      const size_t candidate = candidates + tile.runs[chosen[i]].candidate;
       const uint8_t* const row = place.outside ? rows.outside : rows.of(k)[drops[0][candidate]];
       const uint8_t* const below = place.outside ? rows.outside : rows.of(k)[drops[1][candidate] + 1];
       first[i] = row + place.at, second[i] = below + place.at;
