@@ -146,9 +146,9 @@ Describer::Describer(const DescribedView& view, FeatureRing& ring, int camera)
       full(static_cast<size_t>(kRows) * kPhases * (line / kBlock)) {}
 
 void Describer::describe(int from, int to) {
-  // too far on, or so far back that colours sampled since lie in its place: what lies between is not made
-  if (from > next + kReach || from + ring.slots < sampled) {
-    next = from;
+  // too far on, or back to what was not made, or is not there any more since others were sampled in its place
+  if (from > next + kReach || from < begun || from + ring.slots < sampled) {
+    begun = next = from;
     sampled = from - kReach;
   }
   for (; next < to; ++next) {
