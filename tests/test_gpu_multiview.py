@@ -168,7 +168,8 @@ def test_landings_and_beside(name):
     hidden = ~c.static[c.geometry.reference]
     found = host.landings(hidden, d, c.geometry)
     assert_same(found, levels.landings(hidden, d, c.geometry))
-    assert_same(host.beside(found, 3), levels.beside(found, 3))
+    for reach in ((3, 3), (4, 2), (2, 17)):
+        assert_same(host.beside(found, *reach), levels.beside(found, *reach))
 
 
 @every_scene

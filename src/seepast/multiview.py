@@ -137,7 +137,7 @@ def at_level(
     colour, static, views = level.colour, level.static, level.views
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
-        hides = None if before is None else around_people(before, o.around, backend)
+        hides = None if before is None else around_people(before, o, backend)
         area = asked_for(hides, before, o, dynamic_only, backend)
         everywhere = area is None or bool(area.all())
         candidates = around(before, area, level, grid, o, backend)
@@ -250,13 +250,15 @@ def wanted_view(
     return d
 
 
-def around_people(found: Views, reach: int, backend: ModuleType) -> np.ndarray:
-    """Where what people hide from the wanted view lies in every view, and `reach` px (of full size) around:
+def around_people(found: Views, o: MultiviewOptions, backend: ModuleType) -> np.ndarray:
+    """Where what people hide from the wanted view lies in every view, and `around` px (of full size) beside it:
     bool [K, h, w]."""
     level = found.level
     r = level.geometry.reference
     d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
-    return backend.beside(backend.landings(~level.static[r], d, level.geometry), -(-reach // level.scale))
+    there = backend.landings(~level.static[r], d, level.geometry)
+    tall = 2 if o.half_rows else 1  # px of full size that a row of full size stands for
+    return backend.beside(there, -(-o.around // level.scale), -(-o.around // (tall * level.scale)))
 
 
 def asked_for(
@@ -272,7 +274,7 @@ def asked_for(
     r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
     if not o.fine_views:
-        area &= backend.beside(before.level.static, 1)
+        area &= backend.beside(before.level.static, 1, 1)
     area[r] = hides[r] if dynamic_only else True
     return area
 

@@ -268,7 +268,15 @@ PRESETS: dict[str, Options] = {
     "fast": Options(
         rectify=RectifyOptions(interpolation="linear"),
         multiview=MultiviewOptions(
-            enabled=True, coarsest=4, half_rows=True, rounds=1, spread=2, fine_views=False, around=8, planes=False
+            enabled=True,
+            coarsest=4,
+            half_rows=True,
+            rounds=1,
+            window=1.5,
+            spread=2,
+            fine_views=False,
+            around=4,
+            planes=False,
         ),
     ),
     "accurate": Options(multiview=MultiviewOptions(enabled=True)),

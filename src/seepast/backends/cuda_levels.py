@@ -74,8 +74,8 @@ def double_rows(views, height: int):
     return out
 
 
-def beside(views, reach: int):
-    return dilated(views, reach)
+def beside(views, across: int, down: int):
+    return dilated(views, across, down)
 
 
 def landings(hidden, disparity, geometry: ArrayGeometry):

@@ -141,10 +141,10 @@ def double_rows(views: np.ndarray, height: int) -> np.ndarray:
     return views[:, np.minimum(np.arange(height) // 2, views.shape[1] - 1)]
 
 
-def beside(views: np.ndarray, reach: int) -> np.ndarray:
-    """bool [K, h, w] grown by `reach` px along rows and columns."""
-    square = np.ones((2 * reach + 1,) * 2, np.uint8)
-    return np.stack([cv2.dilate(np.ascontiguousarray(view).view(np.uint8), square) > 0 for view in views])
+def beside(views: np.ndarray, across: int, down: int) -> np.ndarray:
+    """bool [K, h, w] grown by `across` px along rows and `down` px along columns."""
+    rectangle = np.ones((2 * down + 1, 2 * across + 1), np.uint8)
+    return np.stack([cv2.dilate(np.ascontiguousarray(view).view(np.uint8), rectangle) for view in views]).view(bool)
 
 
 def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:

@@ -1,4 +1,4 @@
-// Masks dilated by squares: of rows as words of bits, which shift.
+// Masks dilated by rectangles: of rows as words of bits, which shift.
 #include "device.h"
 
 constexpr int kTile = 32, kWarps = 8;
@@ -23,27 +23,27 @@ static __device__ unsigned dilated(uint64_t bits, int reach) {
   return static_cast<unsigned>(bits | bits >> (span - have));
 }
 
-// out[k, y, x] = any of in[k, y - reach .. y + reach, x - reach .. x + reach], reach <= 16. With `invert`
-// both masks are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8
-// threads, tiles of 32 x 32 pixels of view blockIdx.z.
+// out[k, y, x] = any of in[k, y - down .. y + down, x - across .. x + across], both <= 16. With `invert` both
+// masks are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8 threads,
+// tiles of 32 x 32 pixels of view blockIdx.z.
 extern "C" __global__ void __launch_bounds__(kTile* kWarps)
-    grow(const uint8_t* __restrict__ in, int height, int width, int reach, int invert,
+    grow(const uint8_t* __restrict__ in, int height, int width, int across, int down, int invert,
          uint8_t* __restrict__ out) {
   __shared__ unsigned rows[kTile + 2 * kMostReach];
   const int left = blockIdx.x * kTile, top = blockIdx.y * kTile;
   const size_t view = static_cast<size_t>(blockIdx.z) * height * width;
-  for (int j = threadIdx.y; j < kTile + 2 * reach; j += kWarps) {
-    const int y = top + j - reach;
+  for (int j = threadIdx.y; j < kTile + 2 * down; j += kWarps) {
+    const int y = top + j - down;
     unsigned bits = 0;
     if (y >= 0 && y < height)
-      bits = dilated(row_bits(in + view + static_cast<size_t>(y) * width, left, width, invert != 0), reach);
+      bits = dilated(row_bits(in + view + static_cast<size_t>(y) * width, left, width, invert != 0), across);
     if (threadIdx.x == 0) rows[j] = bits;
   }
   __syncthreads();
   const int x = left + threadIdx.x;
   for (int j = threadIdx.y; j < kTile && top + j < height; j += kWarps) {
     unsigned bits = 0;
-    for (int i = 0; i <= 2 * reach; ++i) bits |= rows[j + i];
+    for (int i = 0; i <= 2 * down; ++i) bits |= rows[j + i];
     if (x < width)
       out[view + static_cast<size_t>(top + j) * width + x] =
           static_cast<uint8_t>((bits >> threadIdx.x & 1) ^ invert);
