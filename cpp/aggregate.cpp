@@ -348,16 +348,15 @@ struct Sweep {
 
 // One view's two sweeps, and what they share.
 struct Aggregation {
-  Aggregation(const View& view, const uint16_t* otherwise, uint16_t* out, const Layout& layout,
-              int16_t* memory)
-      : view(view), matched(this->view), otherwise(otherwise), out(out), layout(layout), memory(memory) {}
+  Aggregation(const View& view, uint16_t* out, const Layout& layout, int16_t* memory)
+      : view(view), matched(this->view), out(out), layout(layout), memory(memory) {}
   Aggregation(const Aggregation&) = delete;
 
   // Half i of the rows before any sweep.
   void look(int i) {
     matched.look(i);
     const int half = view.height / 2, from = i ? half : 0, to = i ? view.height : half;
-    std::copy_n(otherwise + view.at(from), view.at(to - from), found() + view.at(from));
+    std::copy_n(out + view.at(from), view.at(to - from), found() + view.at(from));
   }
 
   void begin(const Grid& grid, const Large& large, int small, bool bytes) {
@@ -376,7 +375,6 @@ struct Aggregation {
 
   const View view;
   Matched matched;
-  const uint16_t* otherwise;
   uint16_t* out;
   const Layout layout;
   int16_t* memory;
@@ -404,8 +402,7 @@ void aggregates(const AggregatedView* views, int count, int height, int width, c
     void* memory = scratch;
     size_t space = layout.total * sizeof(int16_t);
     std::align(sizeof(int16_t) * kLine, space - sizeof(int16_t) * kLine, memory, space);
-    all.push_back(
-        std::make_unique<Aggregation>(view, v.otherwise, v.out, layout, static_cast<int16_t*>(memory)));
+    all.push_back(std::make_unique<Aggregation>(view, v.out, layout, static_cast<int16_t*>(memory)));
     scratch += layout.total;
   }
   // the longest first, so that threads end together

@@ -55,11 +55,11 @@ NB_MODULE(_core, m) {
   m.def(
       "sample_colour",
       [](In<uint8_t, 3> image, In<uint8_t, 2> mask, In<int16_t, 3> whole, In<uint16_t, 2> fraction,
-         Out<uint8_t, 3> out, Out<uint8_t, 2> mask_out) {
+         In<uint8_t, 2> no_ray, Out<uint8_t, 3> out, Out<uint8_t, 2> mask_out) {
         if (image.shape(0) < 2 || image.shape(1) < 2) throw std::invalid_argument("image is too small");
         sample_colour(image.data(), mask.size() ? mask.data() : nullptr, static_cast<int>(image.shape(0)),
-                      static_cast<int>(image.shape(1)), whole.data(), fraction.data(), fraction.size(),
-                      out.data(), mask_out.data());
+                      static_cast<int>(image.shape(1)), whole.data(), fraction.data(),
+                      no_ray.size() ? no_ray.data() : nullptr, fraction.size(), out.data(), mask_out.data());
       },
       free_lock);
 

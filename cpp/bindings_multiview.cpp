@@ -139,7 +139,7 @@ void bind_multiview(nb::module_& m) {
       "aggregates",
       [](In<uint8_t, 2> costs, In<uint8_t, 4> images, In<uint8_t, 3> is_static, const Grid& grid,
          In<uint64_t, 3> active, In<int32_t, 2> start, int small, In<uint16_t, 1> large, int dynamic,
-         int paths, In<uint16_t, 3> otherwise, Out<uint16_t, 1> scratch, Out<uint16_t, 3> out) {
+         int paths, Out<uint16_t, 1> scratch, Out<uint16_t, 3> out) {
         std::vector<AggregatedView> views;
         const size_t pixels = out.shape(1) * out.shape(2);
         const uint8_t* of_view = costs.data();
@@ -147,7 +147,7 @@ void bind_multiview(nb::module_& m) {
           const int32_t* begin = start.data() + i * start.shape(1);
           const size_t at = i * pixels;
           views.push_back({of_view, images.data() + 3 * at, is_static.data() + at, active.data() + at, begin,
-                           otherwise.data() + at, out.data() + at});
+                           out.data() + at});
           of_view += static_cast<size_t>(kChunk) * begin[pixels];
         }
         aggregates(views.data(), static_cast<int>(views.size()), static_cast<int>(out.shape(1)),

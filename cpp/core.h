@@ -29,8 +29,10 @@ struct Grid {
 
 // uint8 [height, width, 3], and a mask [height, width] or nullptr, sampled at `count` pixels, as cv2.remap
 // with INTER_LINEAR and BORDER_REPLICATE: whole (x, y), and 32 y + x in 32nds between. height, width >= 2.
+// no_ray [count], or nullptr: where the mask is to be 255; it is 254 at most elsewhere.
 void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int width, const int16_t* whole,
-                   const uint16_t* fraction, size_t count, uint8_t* out, uint8_t* mask_out);
+                   const uint16_t* fraction, const uint8_t* no_ray, size_t count, uint8_t* out,
+                   uint8_t* mask_out);
 void sample_plane(const uint8_t* plane, int height, int width, const int16_t* whole, const uint16_t* fraction,
                   size_t count, uint8_t* out);
 

@@ -75,13 +75,12 @@ struct Penalties {
   const uint16_t* large;  // [766], by the colour step
   int dynamic;
 };
-// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py); image uint8 [H, W, 3];
-// otherwise uint16 [H, W]: of pixels without a chunk; out uint16 [H, W], the 5 x 5 median of what is found.
+// costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py); image uint8 [H, W, 3]; out
+// uint16 [H, W]: at first the disparities of pixels without a chunk, then the 5 x 5 medians of all.
 struct AggregatedView {
   const uint8_t *costs, *image, *is_static;
   const uint64_t* active;
   const int32_t* start;
-  const uint16_t* otherwise;
   uint16_t* out;
 };
 // paths 8 or 4. `scratch`: for every view aggregate_scratch entries that need not be set.

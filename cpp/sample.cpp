@@ -11,6 +11,8 @@ namespace {
 
 constexpr int kBlock = 128;  // pixels: what one step leaves to the next stays in the first-level cache
 constexpr int kSteps = 32;   // of a fraction
+constexpr size_t kPart = 1 << 13;  // pixels that a thread takes at once
+constexpr int kAlone = 8;          // parts: so few are left to the calling thread, which is one of several
 
 // Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist,
 // `right` and `lower` say by how many 32nds the place is nearer to the others, the same in each of four
@@ -128,11 +130,18 @@ template <class Number>
   std::memcpy(out + 3 * (count - 1), pixels + 4 * (count - 1), 3);
 }
 
-}  // namespace
+// What a mask sampled to 0..255 becomes as P(dynamic): 254 at most, and no_ray, 255 or 0, where that is more.
+[[gnu::always_inline]] inline void mark(const uint8_t* __restrict no_ray, int count, uint8_t* __restrict p) {
+  for (int i = 0; i < count; ++i) {
+    const uint8_t most = std::min<uint8_t>(p[i], kNoRay - 1);
+    p[i] = std::max(most, no_ray[i]);
+  }
+}
 
 SEEPAST_CLONES
-void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int width, const int16_t* whole,
-                   const uint16_t* fraction, size_t count, uint8_t* out, uint8_t* mask_out) {
+void sample_colours(const uint8_t* image, const uint8_t* mask, int height, int width, const int16_t* whole,
+                    const uint16_t* fraction, const uint8_t* no_ray, size_t count, uint8_t* out,
+                    uint8_t* mask_out) {
   alignas(64) Places places;
   alignas(64) Corners corners;
   alignas(64) uint8_t pixels[4 * kBlock];
@@ -150,6 +159,22 @@ void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int wi
       for (int i = 0; i < n; ++i) mask_out[from + i] = pixels[4 * i + 3];
     else if (mask)
       std::memset(mask_out + from, 0, static_cast<size_t>(n));
+    if (no_ray) mark(no_ray + from, n, mask_out + from);
+  }
+}
+
+}  // namespace
+
+void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int width, const int16_t* whole,
+                   const uint16_t* fraction, const uint8_t* no_ray, size_t count, uint8_t* out,
+                   uint8_t* mask_out) {
+  const int parts = static_cast<int>((count + kPart - 1) / kPart);
+#pragma omp parallel for schedule(dynamic, 1) if (parts > kAlone)
+  for (int i = 0; i < parts; ++i) {
+    const size_t from = i * kPart;
+    sample_colours(image, mask, height, width, whole + 2 * from, fraction + from,
+                   no_ray ? no_ray + from : nullptr, std::min(kPart, count - from), out + 3 * from,
+                   mask ? mask_out + from : nullptr);
   }
 }
 

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from . import sampling
 from .errors import InputError
 from .rectify import Rectification
 from .rig import Rig
@@ -111,7 +112,11 @@ def rectified_frame(
     frame = out
     images, masks = [np.ascontiguousarray(i) for i in images], [np.ascontiguousarray(m) for m in masks]
     said = [mask if cv2.countNonZero(mask) else None for mask in masks]
-    work = [(k, rows) for k in range(K) for rows in _strips(width, height)]
+    own_threads = interpolation == "linear" and not grey and sampling.works_alone(images[0], threads)
+    whole = [k for k in range(K) if own_threads and not rectification.passes_through(k)]
+    for k in whole:
+        rectification.together(k, images[k], masks[k], frame.colour[k], frame.dynamic[k])
+    work = [(k, rows) for k in range(K) if k not in whole for rows in _strips(width, height)]
 
     def views(number: int) -> None:
         k, rows = work[number]

@@ -24,13 +24,11 @@ from .geometry import ArrayGeometry
 from .matching import neighbour_matches
 from .pixel_maps import dense, fixed_point, inside
 from .rig import Camera, Rig
-from .sampling import sampled, sampled_together
+from .sampling import MAX_DYNAMIC, NO_RAY, sampled, sampled_together
 from .threads import on_threads
 
 log = logging.getLogger("seepast")
 
-NO_RAY = 255  # in the result of Rectification.dynamic: this rectified pixel has no source pixel
-MAX_DYNAMIC = 254  # P(dynamic) = 1 there
 
 MAX_AXIS_DEG = 45.0  # a camera looking farther than this from the common direction does not see the same way
 MAX_HALF_FIELD_DEG = 60.0  # a plane image of more is nearly all stretched border: the rest is cut off
@@ -126,7 +124,13 @@ class Rectification:
         return self._mark(camera, out, rows)
 
     def together(
-        self, camera: int, image: np.ndarray, mask: np.ndarray, out: np.ndarray, dynamic: np.ndarray, rows: slice
+        self,
+        camera: int,
+        image: np.ndarray,
+        mask: np.ndarray,
+        out: np.ndarray,
+        dynamic: np.ndarray,
+        rows: slice = ALL_ROWS,
     ) -> None:
         """`image` of a colour image, "linear", into `out`, and `dynamic` of its mask into that: at once, which is
         faster. For cameras that do not pass through."""
@@ -134,8 +138,9 @@ class Rectification:
         self._check_size(camera, mask, "mask")
         fixed = self._fixed[camera]
         assert fixed is not None
-        sampled_together(image, mask, fixed, rows, out, dynamic)
-        self._mark(camera, dynamic, rows)
+        no_ray = self._no_ray[camera]
+        assert no_ray is not None
+        sampled_together(image, mask, fixed, rows, out, dynamic, no_ray[rows])
 
     def _mark(self, camera: int, sampled: np.ndarray, rows: slice = ALL_ROWS) -> np.ndarray:
         """`rows` of a sampled mask, in place: MAX_DYNAMIC at most, and NO_RAY where there is no source pixel."""

@@ -178,6 +178,8 @@ def _stacked(arrays: Sequence[np.ndarray]) -> np.ndarray:
     """np.stack(arrays), without a copy where they lie one behind the other in the memory of one array."""
     if isinstance(arrays, np.ndarray):
         return np.ascontiguousarray(arrays)
+    if len(arrays) == 1:
+        return np.ascontiguousarray(arrays[0])[None]
     if all(a.shape == arrays[0].shape for a in arrays) and (found := _in_one(arrays)) is not None:
         return found.reshape(len(arrays), *arrays[0].shape)
     return np.stack(arrays)
@@ -193,15 +195,20 @@ def _joined(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 def _in_one(arrays: Sequence[np.ndarray]) -> np.ndarray | None:
     """All elements as one array, where the arrays lie one behind the other in the memory of one; else None."""
-    first, whole, place = arrays[0], arrays[0].base, arrays[0].ctypes.data
+    first, whole = arrays[0], arrays[0].base
     if not (isinstance(whole, np.ndarray) and whole.flags.c_contiguous):
         return None
+    begin = place = _address(first)
     for a in arrays:
-        if not (a.base is whole and a.flags.c_contiguous and a.ctypes.data == place and a.dtype == first.dtype):
+        if not (a.base is whole and a.flags.c_contiguous and _address(a) == place and a.dtype == first.dtype):
             return None
         place += a.nbytes
-    offset = first.ctypes.data - whole.ctypes.data
-    return np.ndarray((sum(a.size for a in arrays),), first.dtype, buffer=whole, offset=offset)
+    size = sum(a.size for a in arrays)
+    return np.ndarray((size,), first.dtype, buffer=whole, offset=begin - _address(whole))
+
+
+def _address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
 
 
 def aggregate(
@@ -213,7 +220,7 @@ def aggregate(
     paths: int = 8,
     otherwise: np.ndarray | None = None,
 ) -> np.ndarray:
-    kept = None if otherwise is None else [otherwise]
+    kept = None if otherwise is None else [otherwise.copy()]
     return aggregates([costs], [image], [static], [candidates], penalties, paths, kept)[0]
 
 
@@ -226,19 +233,19 @@ def aggregates(
     paths: int = 8,
     otherwise: Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
+    """What is found is written over `otherwise` where that lies in one piece."""
     grid, shape = candidates[0].grid, (len(images), *static[0].shape)
-    out = workspace.empty(shape, np.uint16)
     if otherwise is None:
-        kept = workspace.empty(shape, np.uint16)
-        kept.fill(UNITS // EIGHTHS * grid.first)
+        out = workspace.empty(shape, np.uint16)
+        out.fill(UNITS // EIGHTHS * grid.first)
     else:
-        kept = _stacked(otherwise)
+        out = _stacked(otherwise)
     need = sum(_core.aggregate_scratch(*shape[1:], grid.count, paths, of.chunks) for of in candidates)
     scratch = workspace.empty((need,), np.uint16)
     _core.aggregates(
         _joined(list(costs)), _stacked(images), _bytes(_stacked(static)), _grid(grid),
         _stacked([of.active for of in candidates]), _stacked([of.start for of in candidates]), penalties.small,
-        penalties.large, penalties.dynamic, paths, kept, scratch, out,
+        penalties.large, penalties.dynamic, paths, scratch, out,
     )  # fmt: skip
     return out
 
