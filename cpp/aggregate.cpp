@@ -371,6 +371,19 @@ struct Aggregation {
   int met(int s) const { return s ? view.height - half : half; }  // rows that a sweep has done when they meet
   void first(int s) const { sweeps[s].first(met(s)); }
   void second(int s) const { sweeps[s].second(met(s), found()); }
+  // Row y, where it is matched, or all of it.
+  void smooth(int y, bool everywhere, MedianOfRows& medians) const {
+    const Runs runs = matched.row(y);
+    uint16_t* const to = out + view.at(y);
+    if (everywhere) {
+      std::copy_n(medians.of(found(), y, 0, view.width), view.width, to);
+    } else if (runs.begin() != runs.end()) {
+      const int from = runs.begin()->from, end = (runs.end() - 1)->end;
+      const uint16_t* row = medians.of(found(), y, from, end);
+      for (const Run& run : runs) std::copy(row + run.from - from, row + run.end - from, to + run.from);
+    }
+  }
+
   uint16_t* found() const { return reinterpret_cast<uint16_t*>(memory + layout.found); }
 
   const View view;
@@ -389,7 +402,7 @@ size_t aggregate_scratch(int height, int width, int count, int paths, size_t chu
 }
 
 void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
-                const Penalties& penalties, int paths, uint16_t* scratch) {
+                const Penalties& penalties, int paths, bool everywhere, uint16_t* scratch) {
   Large large;
   std::copy_n(penalties.large, kColourSteps, large);
   large[kColourSteps] = static_cast<int16_t>(penalties.dynamic);
@@ -419,11 +432,9 @@ void aggregates(const AggregatedView* views, int count, int height, int width, c
     for (int i = 0; i < 2 * count; ++i) all[i / 2]->first(i % 2);
 #pragma omp for schedule(dynamic, 1)
     for (int i = 0; i < 2 * count; ++i) all[i / 2]->second(i % 2);
-#pragma omp for schedule(static)
-    for (int row = 0; row < count * height; ++row) {
-      const Aggregation& one = *all[row / height];
-      medians.make(one.found(), row % height, one.out + one.view.at(row % height));
-    }
+#pragma omp for schedule(dynamic, 16)
+    for (int row = 0; row < count * height; ++row)
+      all[row / height]->smooth(row % height, everywhere, medians);
   }
 }
 

@@ -139,7 +139,7 @@ void bind_multiview(nb::module_& m) {
       "aggregates",
       [](In<uint8_t, 2> costs, In<uint8_t, 4> images, In<uint8_t, 3> is_static, const Grid& grid,
          In<uint64_t, 3> active, In<int32_t, 2> start, int small, In<uint16_t, 1> large, int dynamic,
-         int paths, Out<uint16_t, 1> scratch, Out<uint16_t, 3> out) {
+         int paths, bool everywhere, Out<uint16_t, 1> scratch, Out<uint16_t, 3> out) {
         std::vector<AggregatedView> views;
         const size_t pixels = out.shape(1) * out.shape(2);
         const uint8_t* of_view = costs.data();
@@ -152,7 +152,7 @@ void bind_multiview(nb::module_& m) {
         }
         aggregates(views.data(), static_cast<int>(views.size()), static_cast<int>(out.shape(1)),
                    static_cast<int>(out.shape(2)), grid, Penalties{small, large.data(), dynamic}, paths,
-                   scratch.data());
+                   everywhere, scratch.data());
       },
       free_lock);
 

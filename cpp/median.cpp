@@ -70,17 +70,19 @@ SEEPAST_CLONES void median_row(const uint16_t* const* sorted, int width, uint16_
 }  // namespace
 
 MedianOfRows::MedianOfRows(int height, int width)
-    : height(height), width(width), memory(5 * static_cast<size_t>(width + 4)) {
+    : height(height), width(width), memory(5 * static_cast<size_t>(width + 4)), medians(width) {
   for (int i = 0; i < 5; ++i) sorted[i] = memory.data() + i * static_cast<size_t>(width + 4);
 }
 
-void MedianOfRows::make(const uint16_t* image, int y, uint16_t* out) {
+const uint16_t* MedianOfRows::of(const uint16_t* image, int y, int from, int to) {
+  const int first = std::max(0, from - 2), count = std::min(width, to + 2) - first;
   const uint16_t* rows[5];
   for (int i = 0; i < 5; ++i)
-    rows[i] = image + static_cast<size_t>(std::clamp(y + i - 2, 0, height - 1)) * width;
-  sort_columns(rows, width, sorted);
-  for (uint16_t* s : sorted) s[0] = s[1] = s[2], s[width + 2] = s[width + 3] = s[width + 1];
-  median_row(sorted, width, out);
+    rows[i] = image + static_cast<size_t>(std::clamp(y + i - 2, 0, height - 1)) * width + first;
+  sort_columns(rows, count, sorted);
+  for (uint16_t* s : sorted) s[0] = s[1] = s[2], s[count + 2] = s[count + 3] = s[count + 1];
+  median_row(sorted, count, medians.data());
+  return medians.data() + (from - first);
 }
 
 void median(const uint16_t* image, int height, int width, uint16_t* out) {
@@ -88,7 +90,8 @@ void median(const uint16_t* image, int height, int width, uint16_t* out) {
   {
     MedianOfRows rows(height, width);
 #pragma omp for schedule(static)
-    for (int y = 0; y < height; ++y) rows.make(image, y, out + static_cast<size_t>(y) * width);
+    for (int y = 0; y < height; ++y)
+      std::copy_n(rows.of(image, y, 0, width), width, out + static_cast<size_t>(y) * width);
   }
 }
 

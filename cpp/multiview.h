@@ -76,28 +76,28 @@ struct Penalties {
   int dynamic;
 };
 // costs uint8 [n, kChunk], of `active` and `start` of Candidates (candidates.py); image uint8 [H, W, 3]; out
-// uint16 [H, W]: at first the disparities of pixels without a chunk, then the 5 x 5 medians of all.
+// uint16 [H, W]: at first the disparities of pixels without a chunk, then the 5 x 5 medians of the others.
 struct AggregatedView {
   const uint8_t *costs, *image, *is_static;
   const uint64_t* active;
   const int32_t* start;
   uint16_t* out;
 };
-// paths 8 or 4. `scratch`: for every view aggregate_scratch entries that need not be set.
+// paths 8 or 4. everywhere: medians of pixels without a chunk too. `scratch`: for every view aggregate_scratch entries that need not be set.
 size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
 void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
-                const Penalties& penalties, int paths, uint16_t* scratch);
+                const Penalties& penalties, int paths, bool everywhere, uint16_t* scratch);
 
 // Medians of 5 x 5 pixels; the image's edges continue outside.
 class MedianOfRows {
  public:
   MedianOfRows(int height, int width);
-  // Of row y of image [height, width].
-  void make(const uint16_t* image, int y, uint16_t* out);
+  // Of the columns [from, to) of row y of image [height, width]; there until the next are made.
+  const uint16_t* of(const uint16_t* image, int y, int from, int to);
 
  private:
   int height, width;
-  std::vector<uint16_t> memory;
+  std::vector<uint16_t> memory, medians;
   uint16_t* sorted[5];
 };
 void median(const uint16_t* image, int height, int width, uint16_t* out);

@@ -138,7 +138,7 @@ def test_recordings_hold_the_core_of_every_preset(recordings):
     called = {preset: set(calls) for preset, (_, calls) in recordings.items()}
     assert {"support_of_camera", "disparity", "segmentation", "refocus"} <= called["paper"]
     for preset in ("accurate", "fast"):
-        assert {"volumes", "aggregate", "graded", "witnesses", "blend"} <= called[preset]
+        assert {"volumes", "aggregates", "graded", "witnesses", "blend"} <= called[preset]
     everything = {n for n in dir(_core) if not n.startswith("_") and "func" in type(getattr(_core, n)).__name__}
     missing = everything - set().union(*called.values()) - {"set_threads", "simd"}
     assert not missing, "these are never compared"

@@ -80,7 +80,7 @@ struct Call {
 };
 
 // What is in memory that a function only borrows means nothing.
-bool is_scratch(const Call& call, size_t argument) { return call.name == "aggregate" && argument == 10; }
+bool is_scratch(const Call& call, size_t argument) { return call.name == "aggregates" && argument == 11; }
 
 const nb::Overload& overload_of(const nb::module_& core, const Call& call) {
   const auto found = core.functions.find(call.name);

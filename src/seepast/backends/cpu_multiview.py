@@ -245,7 +245,7 @@ def aggregates(
     _core.aggregates(
         _joined(list(costs)), _stacked(images), _bytes(_stacked(static)), _grid(grid),
         _stacked([of.active for of in candidates]), _stacked([of.start for of in candidates]), penalties.small,
-        penalties.large, penalties.dynamic, paths, scratch, out,
+        penalties.large, penalties.dynamic, paths, otherwise is None, scratch, out,
     )  # fmt: skip
     return out
 

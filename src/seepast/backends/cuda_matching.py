@@ -251,7 +251,8 @@ def aggregates(
         ], np.uint64)  # fmt: skip
         _choose(found[some], at, int(ends[-1]), candidates[0].grid, penalties, paths, way)
     smooth = here.xp.empty_like(found)
-    args = [found, _int(height), _int(width), smooth]
+    asked = [0] * n if otherwise is None else [tables.address(c.active) for c in candidates]
+    args = [found, tables.constant(np.array(asked, np.uint64)), _int(height), _int(width), smooth]
     here.launch("aggregate", "median", grid=_tiles((height, width), n), block=TILE, args=args)
     return smooth
 

@@ -265,7 +265,7 @@ def aggregate(
     L(p, d) = C(p, d) + min(L(q, d), L(q, d +- 1) + P1, min L(q) + P2) - min L(q), with q the pixel before p on the
     path; candidates that are not active at a pixel cost more than any path. costs uint8 [n, CHUNK]; image uint8
     [H, W, 3]: P2 falls with the colour step between p and q; static bool [H, W]. Pixels that are not matched
-    at all take what `otherwise` has, and paths begin anew behind them. uint16 [H, W] in 32nds of a pixel.
+    at all keep what `otherwise` has, and paths begin anew behind them. uint16 [H, W] in 32nds of a pixel.
     """
     active = candidates.mask
     dense = np.full(active.shape, INACTIVE, np.int32)
@@ -276,7 +276,10 @@ def aggregate(
             if 0 < dy * dy + dx * dx <= paths // 4:  # 4: no diagonals
                 total += path_costs(dense, image, static, penalties, dy, dx)
     found = winner(total, active, candidates.grid)
-    return cv2.medianBlur(found if otherwise is None else np.where(active.any(-1), found, otherwise), 5)
+    if otherwise is None:
+        return cv2.medianBlur(found, 5)
+    matched = active.any(-1)
+    return np.where(matched, cv2.medianBlur(np.where(matched, found, otherwise), 5), otherwise)
 
 
 def path_costs(costs, image, static, penalties: Penalties, dy: int, dx: int) -> np.ndarray:

@@ -392,9 +392,12 @@ struct Forget<3> {
 
 constexpr int kMedianX = 32, kMedianY = 8, kMedianReach = 2;
 
-// in, out uint16 [n, height, width]: the median of 5x5 pixels; edges repeat. Blocks 32 x 8; z is the view.
+// in, out uint16 [n, height, width]: the median of 5x5 pixels; edges repeat. active [n]: addresses of the views'
+// chunks, uint64 [height, width]; pixels without any stay as they are. 0: there are none such. Blocks 32 x 8; z
+// is the view.
 extern "C" __global__ void __launch_bounds__(kMedianX* kMedianY)
-    median(const uint16_t* __restrict__ in, int height, int width, uint16_t* __restrict__ out) {
+    median(const uint16_t* __restrict__ in, const uint64_t* __restrict__ active, int height, int width,
+           uint16_t* __restrict__ out) {
   constexpr int kSpanX = kMedianX + 2 * kMedianReach, kSpanY = kMedianY + 2 * kMedianReach;
   __shared__ uint16_t tile[kSpanY][kSpanX];
   const int left = blockIdx.x * kMedianX, top = blockIdx.y * kMedianY;
@@ -407,6 +410,12 @@ extern "C" __global__ void __launch_bounds__(kMedianX* kMedianY)
   __syncthreads();
   const int x = left + threadIdx.x, y = top + threadIdx.y;
   if (x >= width || y >= height) return;
+  const size_t pixel = static_cast<size_t>(y) * width + x;
+  const uint64_t* const chunks = reinterpret_cast<const uint64_t*>(active[blockIdx.z]);
+  if (chunks && !chunks[pixel]) {
+    out[view + pixel] = in[view + pixel];
+    return;
+  }
   int values[14], taken = 0;
   const auto next = [&]() -> int {
     const int i = taken++;
@@ -414,5 +423,5 @@ extern "C" __global__ void __launch_bounds__(kMedianX* kMedianY)
   };
 #pragma unroll
   for (int i = 0; i < 14; ++i) values[i] = next();
-  out[view + static_cast<size_t>(y) * width + x] = static_cast<uint16_t>(Forget<14>::median(values, next));
+  out[view + pixel] = static_cast<uint16_t>(Forget<14>::median(values, next));
 }
