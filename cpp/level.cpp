@@ -46,6 +46,18 @@ void mean_of_rows(const uint8_t* __restrict a, const uint8_t* __restrict b, int 
   for (int i = 0; i < count; ++i) out[i] = static_cast<uint8_t>((a[i] + b[i] + 1) >> 1);
 }
 
+// Every value twice, times `factor`.
+template <class Value>
+[[gnu::always_inline]] inline void twice(const Value* __restrict from, int count, int factor,
+                                         Value* __restrict to) {
+  for (int x = 0; x < count; ++x)
+    for (int i = 0; i < 2; ++i) to[2 * x + i] = static_cast<Value>(from[x] * factor);
+}
+SEEPAST_CLONES
+void twice_each(const uint8_t* from, int count, int factor, uint8_t* to) { twice(from, count, factor, to); }
+SEEPAST_CLONES
+void twice_each(const uint16_t* from, int count, int factor, uint16_t* to) { twice(from, count, factor, to); }
+
 }  // namespace
 
 void half_rows(int views, int height, int width, const uint8_t* colour, const uint8_t* is_static,
@@ -103,7 +115,9 @@ void enlarged(const Value* views, int count, int rows, int columns, int ratio, i
     if (first >= last) continue;
     const Value* from = views + static_cast<size_t>(line) * columns;
     Value* to = out + (static_cast<size_t>(line / rows) * height + first) * width;
-    for (int i = 0, x = 0; x < width; ++i) {
+    const int whole = ratio == 2 ? std::min(columns, width / 2) : 0;
+    twice_each(from, whole, factor, to);
+    for (int i = whole, x = 2 * whole; x < width; ++i) {
       const Value value = static_cast<Value>(from[std::min(i, columns - 1)] * factor);
       for (const int end = std::min(x + ratio, width); x < end; ++x) to[x] = value;
     }

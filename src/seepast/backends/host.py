@@ -182,8 +182,12 @@ def inner_span(
     height, width = disparity.shape[1:]
     square = np.ones((2 * reach + 1,) * 2, np.uint8)
     small = static[:, scale // 2 :: scale, scale // 2 :: scale][:, :height, :width]
-    clear = [cv2.erode(np.ascontiguousarray(view).view(np.uint8), square, borderValue=1) > 0 for view in small]
-    sure = disparity[np.stack(clear) & agree]
+    found = []
+    for d, view, confirmed in zip(disparity, small, agree, strict=True):
+        if confirmed.any():
+            clear = cv2.erode(np.ascontiguousarray(view).view(np.uint8), square, borderValue=1)
+            found.append(d[clear.view(bool) & confirmed])
+    sure = np.concatenate(found) if found else disparity[:0]
     if not len(sure):
         return None
     # as numpy.percentile, which sorts for so many of them

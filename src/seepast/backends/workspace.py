@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 import sys
 import threading
+from bisect import bisect_left, insort
 from collections.abc import Sequence
+from itertools import islice
 
 import numpy as np
 from numpy.typing import DTypeLike
@@ -34,13 +36,16 @@ class _Memory:
     def free(self) -> bool:
         return self._holders() == self._alone
 
+    def size(self) -> int:
+        return self.bytes.size
+
 
 class Workspace(threading.local):
     """Every thread has memory of its own. An array, or any view of it, keeps its memory for as long as somebody holds
     it, on whatever thread: what reaches a user is never written over."""
 
     def __init__(self) -> None:
-        self._pool: list[_Memory] = []
+        self._pool: list[_Memory] = []  # the smallest first
         self._taken = 0
 
     def empty(self, shape: Sequence[int], dtype: DTypeLike) -> np.ndarray:
@@ -58,14 +63,21 @@ class Workspace(threading.local):
 
     def _memory(self, size: int) -> np.ndarray:
         self._taken += 1
-        fitting = [m for m in self._pool if size <= m.bytes.size <= LARGER * size and m.free]
-        if not fitting:
+        best = self._smallest_free(size)
+        if best is None:
             self._pool = [m for m in self._pool if not self._superseded(m, size)]
-            fitting = [_Memory(rounded(size))]
-            self._pool += fitting
-        best = min(fitting, key=lambda m: m.bytes.size)
+            best = _Memory(rounded(size))
+            insort(self._pool, best, key=_Memory.size)
         best.last_use = self._taken
         return best.bytes
+
+    def _smallest_free(self, size: int) -> _Memory | None:
+        for memory in islice(self._pool, bisect_left(self._pool, size, key=_Memory.size), None):
+            if memory.bytes.size > LARGER * size:
+                break
+            if memory.free:
+                return memory
+        return None
 
     def _superseded(self, memory: _Memory, size: int) -> bool:
         """Memory of `size` will do instead, or nobody has asked for as much for long; what a user keeps is theirs."""
