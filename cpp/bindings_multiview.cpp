@@ -180,7 +180,8 @@ void bind_multiview(nb::module_& m) {
          int near, Out<uint16_t, 2> shown, Out<uint16_t, 2> rays, Out<uint8_t, 2> close) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
         labels(array, reference, d.data(), disparities.data(), is_static.data(),
-               wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), rays.data(), close.data());
+               wanted.size() ? wanted.data() : nullptr, tolerance, near, shown.data(), rays.data(),
+               close.data());
       },
       free_lock);
 
@@ -230,8 +231,8 @@ void bind_multiview(nb::module_& m) {
           if (array.cameras < 2) throw std::invalid_argument("one camera has no witnesses");
           const size_t at = places.data()[i] * array.pixels();
           views.push_back({array, numbers.data()[i], d.data() + at,
-                           start.size() ? start.data() + i * start.shape(1) : nullptr,
-                           confidence.data() + at, sure.data() + at});
+                           start.size() ? start.data() + i * start.shape(1) : nullptr, confidence.data() + at,
+                           sure.data() + at});
         }
         graded(views.data(), static_cast<int>(views.size()), disparities.data(), is_static.data(), tolerance,
                Grades{confident, lone, doubtful});

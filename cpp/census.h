@@ -93,7 +93,8 @@ class Describer {
   FeatureRing& ring;
   int camera;
   const bool wide = simd() >= Simd::avx512;
-  int begun = 0, next = 0, sampled = -kReach;  // rows: the first in the ring, those to describe and sample next
+  int begun = 0, next = 0,
+      sampled = -kReach;  // rows: the first in the ring, those to describe and sample next
   size_t line;
   std::vector<uint16_t> luma;      // [kRows, kPhases, line]
   std::vector<uint8_t> is_static;  // [kRows, kPhases, line]

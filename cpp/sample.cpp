@@ -9,8 +9,8 @@
 namespace seepast {
 namespace {
 
-constexpr int kBlock = 128;  // pixels: what one step leaves to the next stays in the first-level cache
-constexpr int kSteps = 32;   // of a fraction
+constexpr int kBlock = 128;        // pixels: what one step leaves to the next stays in the first-level cache
+constexpr int kSteps = 32;         // of a fraction
 constexpr size_t kPart = 1 << 13;  // pixels that a thread takes at once
 constexpr int kAlone = 8;          // parts: so few are left to the calling thread, which is one of several
 

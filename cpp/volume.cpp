@@ -298,8 +298,7 @@ class Strips {
 };
 
 template <class RowMatcher>
-void match_rows(std::vector<Volume>& volumes, const std::vector<DescribedView>& described,
-                const Drop& drop) {
+void match_rows(std::vector<Volume>& volumes, const std::vector<DescribedView>& described, const Drop& drop) {
   const int height = described[0].height;
   Strips strips((height + kStrip - 1) / kStrip);
   const int tiles = volumes[0].columns.tiles, count = static_cast<int>(volumes.size());

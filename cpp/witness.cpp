@@ -283,9 +283,8 @@ std::vector<int> others_of(const GradedView& view) {
   std::vector<int> others;
   for (int k = 0; k < view.array.cameras; ++k)
     if (k != view.number) others.push_back(k);
-  std::stable_sort(others.begin(), others.end(), [&](int a, int b) {
-    return std::abs(a - view.number) < std::abs(b - view.number);
-  });
+  std::stable_sort(others.begin(), others.end(),
+                   [&](int a, int b) { return std::abs(a - view.number) < std::abs(b - view.number); });
   return others;
 }
 

@@ -540,10 +540,12 @@ def test_the_first_look_is_the_coarser_one(size, scales):
     geometry = replace(case("5, step").geometry, size=size)
     few, every = few_cameras(geometry), tuple(range(5))
     found = [Look(scales[0], few), *(Look(scale, every) for scale in scales)]
-    for preset in ("accurate", "fast"):
-        assert looks(geometry, Options.preset(preset)) == found
-    coarse = Options.preset("fast").updated({"people.surface_width": 250})
+    assert looks(geometry, Options.preset("accurate")) == found
+    coarse = Options.preset("accurate").updated({"people.surface_width": 250})
     assert looks(geometry, coarse) == found[:2]
+    half = size[1] > 1  # rows in the looks that may be enough
+    found = [Look(scales[0], few, half), Look(scales[0], every, half), Look(scales[-1], every)]
+    assert looks(geometry, Options.preset("fast")) == list(dict.fromkeys(found))
 
 
 @pytest.mark.parametrize(
@@ -554,7 +556,7 @@ def test_few_cameras_are_the_ends_and_one_between(cameras, reference, few):
     geometry = array(cameras, (64, 48)).seen_from(reference)
     assert few_cameras(geometry) == few
     if cameras < 4:
-        assert len(looks(geometry, Options.preset("fast"))) == 1
+        assert len(looks(geometry, Options.preset("accurate"))) == 1
 
 
 def test_a_second_look_from_all_cameras_finds_what_one_look_does():
@@ -575,7 +577,7 @@ def test_a_mask_that_is_missing_where_nobody_looked_from_is_noticed():
     for k, view in enumerate(dynamic):  # somebody flat on the wall, whose disparity is 12 px
         view[10:50, 60 - 3 * k : 100 - 3 * k] = 254
     seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, Look(2, (0, 2, 4)), OPTIONS, cpu)
-    options = replace(OPTIONS.people, trusted=0.1)
+    options = OPTIONS.people
     assert trusted(dynamic, seen, scene.geometry, options, cpu_people)
     for wrong in (0, 254):
         missing = dynamic.copy()
@@ -595,7 +597,8 @@ def test_span_begins_where_few_chunks_are_touched_but_never_above_what_is_seen()
     start = well_placed((0.0, 3.2), 80.0, plane, geometry, options)
     assert 0 <= start <= 3 + SPARE
     into = (plane - start) % (CHUNK * options.range.step)
-    assert into.min() >= 2 and into.max() <= CHUNK * options.range.step - 2.5, "windows of 2 px within one chunk"
+    window, step = options.multiview.window, options.range.step
+    assert into.min() >= window and into.max() <= CHUNK * step - window - step, "windows within one chunk"
     for first in (0.5, 4.0, 8.0, 11.0):  # far things, at the end of the search
         assert 0 <= well_placed((0.0, first - 12), 80.0, plane, geometry, options) <= max(0, first - 12 + SPARE)
     assert well_placed((-0.4, 3.2), 80.0, plane, geometry, options) >= -1

@@ -13,8 +13,11 @@ from seepast import people
 from seepast.backends import cpu_people, reference_people
 from seepast.frames import Frame
 from seepast.geometry import ArrayGeometry
+from seepast.levels import Level
+from seepast.many import UNITS
 from seepast.options import Options, PeopleOptions
 from seepast.rectify import NO_RAY
+from seepast.surfaces import Surfaces
 
 OPTIONS = PeopleOptions(working_width=48)  # the small scenes are then looked at by lattices of stride 2 and 1
 SMALL = PeopleOptions(working_width=1000, inner=1, window=21, grow=False)
@@ -182,10 +185,32 @@ def test_errors_of_single_views_are_repaired() -> None:
     assert before < 0.7 and mean_iou(after, scene.person) > 0.87
 
 
-def test_exact_masks_come_back_as_they_are() -> None:
+def seen_in(scene: Scene) -> Surfaces:
+    """What a look at full size at true surfaces finds."""
+    K, everywhere = len(scene.views), np.ones(scene.grey.shape, bool)
+    level = Level(1, scene.geometry, scene.colour, everywhere)
+    return Surfaces(level, tuple(range(K)), (surfaces_of(scene) * UNITS).astype(np.uint16), everywhere)
+
+
+def test_exact_masks_are_trusted_and_others_are_not() -> None:
     scene = people_scene()
-    out = people.refine_people(frame_of(scene), surfaces_of(scene), scene.geometry, SMALL, cpu_people)
-    assert np.array_equal(out, scene.dynamic)
+    seen, exact = seen_in(scene), scene.dynamic
+    wide = np.stack([cv2.dilate(view, np.ones((1, 7), np.uint8)) for view in exact[:2]])
+    for dynamic, trusted in ((exact, True), (spoilt(scene), False), (np.concatenate([wide, exact[2:]]), False)):
+        for backend in (reference_people, cpu_people):
+            assert people.trusted(dynamic, seen, scene.geometry, OPTIONS, backend) == trusted
+    assert people.trusted(np.zeros_like(exact), seen, scene.geometry, OPTIONS, cpu_people)
+
+
+def test_outline_share() -> None:
+    masks = np.zeros((2, 20, 20), np.uint8)
+    assert people.outline_share(masks) == 0
+    masks[1, 5:15, 3:13] = 254
+    assert np.isclose(people.outline_share(masks), 36 / 100)
+    masks[0] = NO_RAY
+    assert np.isclose(people.outline_share(masks), 36 / 100)
+    masks[1, ::2] = 0
+    assert people.outline_share(masks) == 1
 
 
 @pytest.mark.parametrize("level", [0, 40, 90])

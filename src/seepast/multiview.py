@@ -357,9 +357,7 @@ def picture(
     background = backend.blend(colour, rays, clear, near, options.multiview.edge_weight, geometry, d, ~keep)
     seen = rays > 0
     if not seen.all():
-        background = backend.fill_unseen(
-            background, seen.view(np.uint8), d.astype(np.float32) / np.float32(UNITS)
-        )
+        background = backend.fill_unseen(background, seen.view(np.uint8), d.astype(np.float32) / np.float32(UNITS))
     return background
 
 

@@ -130,8 +130,7 @@ def trusted(
     pixels as the others: a mask that is missing is noticed.
     """
     height, width = seen.disparity.shape[1:]
-    rows = dynamic[:, :: 1 + seen.half_rows]
-    there = lattice(rows, seen.scale)[:, :height, :width].copy()
+    there = lattice(seen.rows(dynamic), seen.scale)[:, :height, :width].copy()
     unseen = [k for k in range(len(there)) if k not in seen.cameras]
     if unseen:
         people = [float(((view > 127) & (view != NO_RAY)).mean()) for view in there]

@@ -21,7 +21,8 @@ SAMPLE = tuple(float(p) for p in (np.arange(64) + 0.5) / 0.64)  # percentiles th
 
 @dataclass(frozen=True)
 class Look:
-    """From where surfaces are looked at: the numbers of some cameras, whose views are reduced `scale` times."""
+    """From where surfaces are looked at: the numbers of some cameras, whose views are reduced `scale` times; with
+    `half_rows` after their rows were averaged two by two."""
 
     scale: int
     cameras: tuple[int, ...]
@@ -36,6 +37,7 @@ class Surfaces:
     cameras    that were looked from; there is nothing of the others
     disparity  uint16 [K, h, w] in 32nds of a reduced pixel
     agree      bool [K, h, w]: another view confirms it
+    half_rows  the level is of half as many rows
     """
 
     level: Level
@@ -47,6 +49,10 @@ class Surfaces:
     @property
     def scale(self) -> int:
         return self.level.scale
+
+    def rows(self, views: np.ndarray) -> np.ndarray:
+        """Of full-size views [K, H, W] the rows that this was made from; where every two were averaged, the first."""
+        return views[:, :: 1 + self.half_rows]
 
     def at_full_size(self, shape: tuple[int, ...], backend: ModuleType) -> np.ndarray:
         """float32 [K, *shape] px over the array."""
@@ -84,18 +90,19 @@ def surfaces(
     of_new = ([of[k] for k in new] for of in (level.colour, level.static))
     for k, view in zip(new, backend.aggregates(volumes, *of_new, candidates, penalties, o.paths), strict=True):
         found[k] = view
-    return _confirmed(level, (*before.cameras, *new), found, every, round(UNITS * o.tolerance), backend, look.half_rows)
+    cameras = *before.cameras, *new
+    agree = _confirmed(level, cameras, found, every, round(UNITS * o.tolerance), backend)
+    return Surfaces(level, cameras, found, agree, look.half_rows)
 
 
 def _confirmed(
-    level: Level, cameras: tuple[int, ...], found: np.ndarray, every: Candidates, tolerance: int, backend: ModuleType, half: bool
-) -> Surfaces:
+    level: Level, cameras: tuple[int, ...], found: np.ndarray, every: Candidates, tolerance: int, backend: ModuleType
+) -> np.ndarray:
     looked = np.zeros_like(level.static)
     for k in cameras:
         looked[k] = True
     asked = [every if k in cameras else None for k in range(len(found))]
-    _, agree = backend.graded_of_views(found, looked, level.views, tolerance, 0, 0, asked)
-    return Surfaces(level, cameras, found, agree, half)
+    return backend.graded_of_views(found, looked, level.views, tolerance, 0, 0, asked)[1]
 
 
 def looks(geometry: ArrayGeometry, options: Options) -> list[Look]:
@@ -105,9 +112,10 @@ def looks(geometry: ArrayGeometry, options: Options) -> list[Look]:
     few, every = few_cameras(geometry), tuple(range(geometry.cameras))
     if not o.enabled:
         return [Look(max(1, min(options.multiview.range_scale, width // 64, height)), few)]
-    first, close = (_halved(width, height, most) for most in (min(o.first_width, o.surface_width), o.surface_width))
-    h = options.multiview.half_rows and height > 1
-    return list(dict.fromkeys([Look(first, few, h), Look(first, every, h), Look(close, every)]))
+    half = options.multiview.half_rows and height > 1
+    first = _halved(width, height // 2 if half else height, min(o.first_width, o.surface_width))
+    close = _halved(width, height, o.surface_width)
+    return list(dict.fromkeys([Look(first, few, half), Look(first, every, half), Look(close, every)]))
 
 
 def few_cameras(geometry: ArrayGeometry) -> tuple[int, ...]:
@@ -143,11 +151,8 @@ def static_span(
     Percentiles of the disparities that another view confirms, clear of people, and a margin.
     """
     least, *_, most = search_range(geometry, options).values
-    percentiles = (*INNER, *SAMPLE)
-    if seen.half_rows:
-        end = static.shape[1] // 2 * 2
-        static = static[:, :end:2] & static[:, 1:end:2]
-    inner = backend.inner_span(seen.disparity, seen.agree, static, seen.scale, CLEAR // seen.scale, percentiles)
+    percentiles, clear = (*INNER, *SAMPLE), CLEAR // seen.scale
+    inner = backend.inner_span(seen.disparity, seen.agree, seen.rows(static), seen.scale, clear, percentiles)
     if inner is None:
         return float(np.floor(least)), float(most)
     first, last, *sample = inner * (seen.scale / UNITS)

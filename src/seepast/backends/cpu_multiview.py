@@ -165,8 +165,8 @@ def volumes(
     pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
     out = workspace.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
-        *view_arrays(views), np.array([v.reference for v in views], np.int32), features.colour, _bytes(features.static), LUMA,
-        _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
+        *view_arrays(views), np.array([v.reference for v in views], np.int32), features.colour,
+        _bytes(features.static), LUMA, _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
         np.concatenate(pairs), np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale,
         costs.few, costs.colour_cap, costs.lone, costs.unseen, out,
     )  # fmt: skip
@@ -320,9 +320,7 @@ def graded(
     candidates: Candidates | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     asked = [candidates] if candidates is not None else None
-    confidence, sure = _graded(
-        [geometry], [0], disparity[None], disparities, static, tolerance, lone, doubtful, asked
-    )
+    confidence, sure = _graded([geometry], [0], disparity[None], disparities, static, tolerance, lone, doubtful, asked)
     return confidence[0], sure[0]
 
 

@@ -392,9 +392,9 @@ struct Forget<3> {
 
 constexpr int kMedianX = 32, kMedianY = 8, kMedianReach = 2;
 
-// in, out uint16 [n, height, width]: the median of 5x5 pixels; edges repeat. active [n]: addresses of the views'
-// chunks, uint64 [height, width]; pixels without any stay as they are. 0: there are none such. Blocks 32 x 8; z
-// is the view.
+// in, out uint16 [n, height, width]: the median of 5x5 pixels; edges repeat. active [n]: addresses of the
+// views' chunks, uint64 [height, width]; pixels without any stay as they are. 0: there are none such. Blocks
+// 32 x 8; z is the view.
 extern "C" __global__ void __launch_bounds__(kMedianX* kMedianY)
     median(const uint16_t* __restrict__ in, const uint64_t* __restrict__ active, int height, int width,
            uint16_t* __restrict__ out) {

@@ -24,8 +24,8 @@ static __device__ unsigned dilated(uint64_t bits, int reach) {
 }
 
 // out[k, y, x] = any of in[k, y - down .. y + down, x - across .. x + across], both <= 16. With `invert` both
-// masks are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8 threads,
-// tiles of 32 x 32 pixels of view blockIdx.z.
+// masks are taken inverted, which makes it the erosion; what is outside never counts. Blocks of 32 x 8
+// threads, tiles of 32 x 32 pixels of view blockIdx.z.
 extern "C" __global__ void __launch_bounds__(kTile* kWarps)
     grow(const uint8_t* __restrict__ in, int height, int width, int across, int down, int invert,
          uint8_t* __restrict__ out) {
