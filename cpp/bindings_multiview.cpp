@@ -157,13 +157,6 @@ void bind_multiview(nb::module_& m) {
       free_lock);
 
   m.def(
-      "median",
-      [](In<uint16_t, 2> image, Out<uint16_t, 2> out) {
-        median(image.data(), static_cast<int>(image.shape(0)), static_cast<int>(image.shape(1)), out.data());
-      },
-      free_lock);
-
-  m.def(
       "witnesses",
       [](In<float, 2> offsets, float cx, float cy, In<uint16_t, 2> d, In<uint16_t, 3> disparities,
          In<uint8_t, 3> is_static, int skip, int tolerance, Out<uint8_t, 2> agree, Out<uint8_t, 2> farther) {
@@ -201,13 +194,6 @@ void bind_multiview(nb::module_& m) {
         if (table.size() != 256) throw std::invalid_argument("table must be [256]");
         told(d.data(), evidence.data(), table.data(), labels.data(), keep.size() ? keep.data() : nullptr,
              d.size(), disparity.data(), confidence.data(), coverage.data());
-      },
-      free_lock);
-
-  m.def(
-      "ray_count",
-      [](In<uint16_t, 2> labels, Out<uint8_t, 2> out) {
-        ray_count(labels.data(), labels.size(), out.data());
       },
       free_lock);
 

@@ -123,13 +123,6 @@ void told(const uint16_t* d, const uint8_t* evidence, const float* table, const 
   }
 }
 
-void ray_count(const uint16_t* labels, size_t count, uint8_t* out) {
-  const int parts = static_cast<int>((count + kPart - 1) / kPart);
-#pragma omp parallel for schedule(static)
-  for (int i = 0; i < parts; ++i)
-    count_rays(labels + i * kPart, static_cast<int>(std::min(kPart, count - i * kPart)), out + i * kPart);
-}
-
 void clear_of_masks(int views, int height, int width, const uint8_t* is_static, uint8_t* clear) {
 #pragma omp parallel
   {

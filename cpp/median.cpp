@@ -85,14 +85,4 @@ const uint16_t* MedianOfRows::of(const uint16_t* image, int y, int from, int to)
   return medians.data() + (from - first);
 }
 
-void median(const uint16_t* image, int height, int width, uint16_t* out) {
-#pragma omp parallel
-  {
-    MedianOfRows rows(height, width);
-#pragma omp for schedule(static)
-    for (int y = 0; y < height; ++y)
-      std::copy_n(rows.of(image, y, 0, width), width, out + static_cast<size_t>(y) * width);
-  }
-}
-
 }  // namespace seepast

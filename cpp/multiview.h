@@ -101,7 +101,6 @@ class MedianOfRows {
   std::vector<uint16_t> memory, medians;
   uint16_t* sorted[5];
 };
-void median(const uint16_t* image, int height, int width, uint16_t* out);
 
 // disparities uint16 [K, H, W], is_static uint8 [K, H, W].
 void witnesses(const Array& array, const uint16_t* d, const uint16_t* disparities, const uint8_t* is_static,
@@ -152,7 +151,6 @@ void evidence(int height, int width, const uint16_t* d, const uint8_t* is_static
 // host.told: what results say of `count` pixels. table [256]; keep uint8, or null: where the own ray is all.
 void told(const uint16_t* d, const uint8_t* evidence, const float* table, const uint16_t* labels,
           const uint8_t* keep, size_t count, float* disparity, float* confidence, uint8_t* coverage);
-void ray_count(const uint16_t* labels, size_t count, uint8_t* out);
 // host.clear_of_masks: uint8 [views, H, W], 0 or 1.
 void clear_of_masks(int views, int height, int width, const uint8_t* is_static, uint8_t* clear);
 

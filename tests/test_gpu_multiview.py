@@ -16,6 +16,7 @@ from seepast.backends import cuda_votes as cuda
 from seepast.backends import host
 from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, DisparityGrid
+from seepast.confidence import VIEWS
 from seepast.gpu import device
 from seepast.many import UNITS, VoteWeights
 from test_multiview import KINDS, OPTIONS, SCENES, VOTED, WEIGHTS, assert_same, case, every_scene, some_candidates
@@ -135,7 +136,10 @@ def test_evidence(name):
         shown, _, close = reference.labels(d, c.disparities, c.static, c.geometry, 48)
         given = d, c.static[r], close, shown
         assert_same(reference.evidence(*given), picture.evidence(*given))
-        assert_same(host.ray_count(shown), picture.ray_count(shown))
+        for keep in (None, c.static[r]):
+            told = (b.told(d, reference.evidence(*given), VIEWS.table, shown, keep) for b in (host, picture))
+            for expected, found in zip(*told, strict=True):
+                assert_same(expected, found)
 
 
 # --------------------------------------------------------------------------------------------- between the stages

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
 
@@ -16,6 +15,7 @@ from seepast.backends import cpu_people
 from seepast.backends import reference_multiview as reference
 from seepast.backends.reference import half_positions
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
+from seepast.confidence import VIEWS, ray_count
 from seepast.frames import Frame
 from seepast.many import (
     CONFIDENT,
@@ -353,12 +353,20 @@ def test_aggregate_where_little_is_matched(shape, paths, kind):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (2, 2), (3, 70), (31, 33), (64, 4)], ids=str)
-def test_median(shape):
+def test_medians_of_all_that_is_matched(shape):
+    """Without penalties every pixel has its own cheapest candidate, before the median."""
     rng = np.random.default_rng(shape[1])
-    for high in (3, 65536):
-        image, out = rng.integers(0, high, shape).astype(np.uint16), np.empty(shape, np.uint16)
-        _core.median(image, out)
-        assert_same(cv2.medianBlur(image, 5), out)
+    grid = DisparityGrid(0, 8, CHUNK)
+    free = replace(STEEPEST, small=0, large=np.zeros_like(STEEPEST.large), dynamic=0)
+    image, static = np.zeros((*shape, 3), np.uint8), np.ones(shape, bool)
+    for some in (np.ones(shape, bool), rng.random(shape) < 0.7):
+        candidates = Candidates.all(grid, shape).where(some)
+        costs = rng.integers(0, 256, (shape[0] * shape[1], CHUNK), np.uint8)
+        otherwise = rng.integers(0, 16, shape).astype(np.uint16) * UNITS
+        found = [b.aggregate(costs, image, static, candidates, free, 4, otherwise) for b in (reference, cpu)]
+        assert_same(*found)
+        if some.all():
+            assert len(np.unique(found[1])) > (shape[0] * shape[1] > 100)
 
 
 def test_long_paths_keep_their_numbers_small():
@@ -390,10 +398,16 @@ def test_evidence_rays_and_what_is_clear_of_masks(name):
     flat = (c.disparities // 40 * 40)[r]
     for d in (c.disparities[r], flat, np.full_like(flat, 400)):
         shown, _, close = reference.labels(d, c.disparities, c.static, c.geometry, 48)
-        assert_same(*(b.evidence(d, c.static[r], close, shown) for b in (reference, cpu)))
-        assert_same(*(b.ray_count(shown) for b in (reference, cpu)))
+        evidence = cpu.evidence(d, c.static[r], close, shown)
+        assert_same(reference.evidence(d, c.static[r], close, shown), evidence)
+        for keep in (None, c.static[r]):
+            told = (b.told(d, evidence, VIEWS.table, shown, keep) for b in (reference, cpu))
+            for expected, found in zip(*told, strict=True):
+                assert_same(expected, found)
     every = np.arange(1 << 16, dtype=np.uint16).reshape(64, -1)
-    assert_same(*(b.ray_count(every) for b in (reference, cpu)))
+    counted = (b.told(every, (every >> 8).astype(np.uint8), VIEWS.table, every) for b in (reference, cpu))
+    for expected, found in zip(*counted, strict=True):
+        assert_same(expected, found)
     for static in (c.static, c.choice, c.static[:, :3, :2]):
         assert_same(*(b.clear_of_masks(np.ascontiguousarray(static)) for b in (reference, cpu)))
 
@@ -511,7 +525,7 @@ def test_never_seen_pixels_are_flagged():
     blind = np.zeros(scene.disparity.shape, bool)
     blind[24:36, 46:56] = True  # the wall at 12 px moves the masks by up to 12
     assert (found["coverage"][blind] == 0).all()
-    assert np.array_equal(found["coverage"], cpu.ray_count(found["labels"]))
+    assert np.array_equal(found["coverage"], ray_count(found["labels"]))
 
 
 def test_planes_straighten_slants():

@@ -191,7 +191,7 @@ def test_a_stream_that_is_left_early_closes_its_source() -> None:
 
 
 @pytest.mark.parametrize("own", [None, "OMP_WAIT_POLICY", "GOMP_SPINCOUNT"])
-def test_idle_threads_sleep_unless_the_user_has_said_how_they_wait(
+def test_idle_threads_soon_sleep_unless_the_user_has_said_how_they_wait(
     monkeypatch: pytest.MonkeyPatch, own: str | None
 ) -> None:
     for name in ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT"):
@@ -199,8 +199,8 @@ def test_idle_threads_sleep_unless_the_user_has_said_how_they_wait(
     if own:
         monkeypatch.setenv(own, "7")
     before = dict(os.environ)
-    with backends._idle_threads_sleep():
-        assert dict(os.environ) == (before if own else {**before, "OMP_WAIT_POLICY": "passive"})
+    with backends._idle_threads_soon_sleep():
+        assert dict(os.environ) == (before if own else {**before, "GOMP_SPINCOUNT": str(backends.SPINS)})
     assert dict(os.environ) == before
 
 

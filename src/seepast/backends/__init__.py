@@ -20,6 +20,7 @@ from ..gpu import device
 log = logging.getLogger("seepast")
 
 BACKENDS = ("cpu", "cuda", "reference")
+SPINS = 3000  # turns, about a tenth of a millisecond, that an idle thread waits for the next loop before it sleeps
 
 
 def get(name: str) -> ModuleType:
@@ -31,7 +32,7 @@ def get(name: str) -> ModuleType:
     if name == "cuda":
         device.current()
     try:
-        with _idle_threads_sleep():
+        with _idle_threads_soon_sleep():
             return importlib.import_module(f".{name}", __name__)
     except ImportError as error:
         raise BackendError(
@@ -62,27 +63,28 @@ def on_host(array: Any) -> np.ndarray:
 def core() -> ModuleType | None:
     """The C++ core, for what is no stage of a backend; None where it was not built."""
     try:
-        with _idle_threads_sleep():
+        with _idle_threads_soon_sleep():
             return importlib.import_module("seepast._core")
     except ImportError:
         return None
 
 
 @contextmanager
-def _idle_threads_sleep() -> Iterator[None]:
-    """Idle threads of the loops sleep, where the user has not said otherwise.
+def _idle_threads_soon_sleep() -> Iterator[None]:
+    """Idle threads of the loops soon sleep, where the user has not said otherwise.
 
     GNU's OpenMP lets them spin for milliseconds, which takes a core from whoever reads the next frame meanwhile (a
-    fifth of all processor time of preset "paper"). It looks at the environment once, when it is loaded.
+    fifth of all processor time of preset "paper"). But one that sleeps is late for the next loop: if it is not far,
+    waiting for it takes less. GNU's looks at the environment once, when it is loaded.
     """
     said = {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"} & os.environ.keys()
     if not said:
-        os.environ["OMP_WAIT_POLICY"] = "passive"
+        os.environ["GOMP_SPINCOUNT"] = str(SPINS)
     try:
         yield
     finally:
         if not said:
-            del os.environ["OMP_WAIT_POLICY"]
+            del os.environ["GOMP_SPINCOUNT"]
 
 
 def multiview(backend: ModuleType) -> ModuleType:

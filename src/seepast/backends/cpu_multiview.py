@@ -46,7 +46,6 @@ __all__ = [
     "planes",
     "planes_of_views",
     "probability",
-    "ray_count",
     "three_channels",
     "told",
     "volume",
@@ -166,9 +165,10 @@ def volumes(
     out = workspace.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
         *view_arrays(views), np.array([v.reference for v in views], np.int32), features.colour,
-        _bytes(features.static), LUMA, _grid(candidates[0].grid), _stacked([c.active for c in candidates]), _stacked([c.start for c in candidates]),
-        np.concatenate(pairs), np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale,
-        costs.few, costs.colour_cap, costs.lone, costs.unseen, out,
+        _bytes(features.static), LUMA, _grid(candidates[0].grid), _stacked([c.active for c in candidates]),
+        _stacked([c.start for c in candidates]), np.concatenate(pairs),
+        np.array([len(p) for p in pairs], np.int32).reshape(-1, 2), costs.census_scale, costs.few, costs.colour_cap,
+        costs.lone, costs.unseen, out,
     )  # fmt: skip
     ends = np.cumsum([c.chunks for c in candidates])
     return np.split(out, ends[:-1])
@@ -295,12 +295,6 @@ def told(
     coverage = workspace.empty(d.shape, np.uint8)
     _core.told(d, evidence, table, shown, EVERY_PIXEL if keep is None else _bytes(keep), disparity, sure, coverage)
     return disparity, sure, coverage
-
-
-def ray_count(labels: np.ndarray) -> np.ndarray:
-    out = workspace.empty(labels.shape, np.uint8)
-    _core.ray_count(labels, out)
-    return out
 
 
 def clear_of_masks(static: np.ndarray) -> np.ndarray:

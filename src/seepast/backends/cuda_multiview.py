@@ -24,7 +24,7 @@ from .cuda_matching import (
     windows,
     windows_of_views,
 )
-from .cuda_picture import blend, evidence, planes, planes_of_views, ray_count, told
+from .cuda_picture import blend, evidence, planes, planes_of_views, told
 from .cuda_votes import graded_of_views, labels, votes, votes_of_views, witnesses
 
 __all__ = [
@@ -47,7 +47,6 @@ __all__ = [
     "landings",
     "planes",
     "planes_of_views",
-    "ray_count",
     "three_channels",
     "told",
     "volume",

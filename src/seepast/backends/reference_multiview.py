@@ -47,7 +47,6 @@ from .host import (
     inner_span,
     landings,
     probability,
-    ray_count,
     three_channels,
     told,
 )
@@ -77,7 +76,6 @@ __all__ = [
     "planes",
     "planes_of_views",
     "probability",
-    "ray_count",
     "three_channels",
     "told",
     "volume",
