@@ -35,8 +35,9 @@ size_t lines(size_t entries) { return (entries + kLine - 1) / kLine * kLine; }
 
 // Where things lie in the scratch memory, in entries.
 struct Layout {
-  Layout(int height, int width, int count, int paths, size_t chunks)
-      : vertical(paths == 8 ? 3 : 1), pitch(count + kGuard) {
+  // most: the largest penalty
+  Layout(int height, int width, int count, int paths, int most, size_t chunks)
+      : vertical(paths == 8 ? 3 : 1), bytes(paths == 4 && most < 256), pitch(count + kGuard) {
     slots = width + (vertical == 3 ? height : 0);
     entries = lines(kGuard + slots * pitch);
     line = lines(2 * kGuard + count);
@@ -46,12 +47,14 @@ struct Layout {
     along = std::min(chunks * kChunk, kRows * totals);
     sweep = vertical * entries + kRows * (line + steps) + lines(4 * width) + lines(kPartEntries * 3 * width) +
             totals + along;
-    sums = lines(chunks * kChunk);
+    sums = lines(chunks * kChunk / (bytes ? 2 : 1));
     found = 2 * sweep + vertical * plane + sums;
     total = found + static_cast<size_t>(height) * width + kLine;
   }
 
-  size_t vertical, pitch;             // paths from row to row; entries of a column
+  size_t vertical;
+  bool bytes;                         // are enough for the sums of the paths from row to row
+  size_t pitch;                       // paths from row to row; entries of a column
   size_t slots, entries;              // of one path from row to row
   size_t plane;                       // penalties from row to row
   size_t line, steps, totals, along;  // of one row; path costs, penalties, and the sums of kRows rows
@@ -226,7 +229,7 @@ class Matched {
 // One sweep: direction 1 goes down, -1 up.
 struct Sweep {
   Sweep(const View& view, const Matched& matched, const Grid& grid, const Large& large, int small,
-        const Layout& layout, int direction, int16_t* memory, int16_t* planes, int16_t* saved, bool bytes)
+        const Layout& layout, int direction, int16_t* memory, int16_t* planes, int16_t* saved)
       : view(view),
         matched(matched),
         grid(grid),
@@ -236,7 +239,6 @@ struct Sweep {
         direction(direction),
         run(loops()),
         saved(saved),
-        bytes(bytes),
         entries(memory),
         planes(planes),
         line_entries(entries + layout.vertical * layout.entries),
@@ -308,7 +310,7 @@ struct Sweep {
       r.entries[p] = entries + p * layout.entries + kGuard + slot * r.pitch;
       r.large[p] = direction > 0 ? plane(p, y) : plane(layout.vertical - 1 - p, y + 1) - dx;
     }
-    r.saved_bytes = bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
+    r.saved_bytes = layout.bytes ? reinterpret_cast<uint8_t*>(saved) : nullptr, r.saved = saved;
     r.along = sums;
     r.totals = numbered(totals, view.start[at]);
     r.picks = reinterpret_cast<Pick*>(picks);
@@ -342,7 +344,6 @@ struct Sweep {
   int direction;
   Loops run;
   int16_t* saved;
-  bool bytes;
   int16_t *entries, *planes, *line_entries, *line_steps, *picks, *parts, *totals, *along;
 };
 
@@ -359,12 +360,12 @@ struct Aggregation {
     std::copy_n(out + view.at(from), view.at(to - from), found() + view.at(from));
   }
 
-  void begin(const Grid& grid, const Large& large, int small, bool bytes) {
+  void begin(const Grid& grid, const Large& large, int small) {
     int16_t* const planes = memory + 2 * layout.sweep;
     for (const int direction : {1, -1})
       sweeps.emplace_back(view, matched, grid, large, small, layout, direction,
                           memory + (direction > 0 ? 0 : layout.sweep), planes,
-                          planes + layout.vertical * layout.plane, bytes);
+                          planes + layout.vertical * layout.plane);
     half = matched.middle();
   }
 
@@ -397,8 +398,8 @@ struct Aggregation {
 
 }  // namespace
 
-size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks) {
-  return Layout(height, width, count, paths, chunks).total;
+size_t aggregate_scratch(int height, int width, int count, int paths, int most, size_t chunks) {
+  return Layout(height, width, count, paths, most, chunks).total;
 }
 
 void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
@@ -406,12 +407,12 @@ void aggregates(const AggregatedView* views, int count, int height, int width, c
   Large large;
   std::copy_n(penalties.large, kColourSteps, large);
   large[kColourSteps] = static_cast<int16_t>(penalties.dynamic);
-  const bool bytes = paths == 4 && *std::max_element(large, large + kColourSteps + 1) < 256;
+  const int most = *std::max_element(large, large + kColourSteps + 1);
   std::vector<std::unique_ptr<Aggregation>> all;
   for (int i = 0; i < count; ++i) {
     const AggregatedView& v = views[i];
     const View view{v.costs, v.image, v.is_static, v.active, v.start, height, width};
-    const Layout layout(height, width, grid.count, paths, view.chunks());
+    const Layout layout(height, width, grid.count, paths, most, view.chunks());
     void* memory = scratch;
     size_t space = layout.total * sizeof(int16_t);
     std::align(sizeof(int16_t) * kLine, space - sizeof(int16_t) * kLine, memory, space);
@@ -427,7 +428,7 @@ void aggregates(const AggregatedView* views, int count, int height, int width, c
 #pragma omp for schedule(dynamic, 1)
     for (int i = 0; i < 2 * count; ++i) all[i / 2]->look(i % 2);
 #pragma omp single
-    for (const auto& one : all) one->begin(grid, large, penalties.small, bytes);
+    for (const auto& one : all) one->begin(grid, large, penalties.small);
 #pragma omp for schedule(dynamic, 1)
     for (int i = 0; i < 2 * count; ++i) all[i / 2]->first(i % 2);
 #pragma omp for schedule(dynamic, 1)

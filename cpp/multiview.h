@@ -85,7 +85,7 @@ struct AggregatedView {
 };
 // paths 8 or 4. everywhere: medians of pixels without a chunk too. `scratch`: for every view
 // aggregate_scratch entries that need not be set.
-size_t aggregate_scratch(int height, int width, int count, int paths, size_t chunks);
+size_t aggregate_scratch(int height, int width, int count, int paths, int most, size_t chunks);
 void aggregates(const AggregatedView* views, int count, int height, int width, const Grid& grid,
                 const Penalties& penalties, int paths, bool everywhere, uint16_t* scratch);
 

@@ -369,6 +369,24 @@ def test_medians_of_all_that_is_matched(shape):
             assert len(np.unique(found[1])) > (shape[0] * shape[1] > 100)
 
 
+@pytest.mark.parametrize("most", [0, 1 << 24])
+def test_aggregates_of_views_whose_costs_are_made_of_what_is_found(monkeypatch, most):
+    """Costs that are made when they are asked for see the disparities as they were, in one batch or several."""
+    monkeypatch.setattr(cpu, "MOST_SCRATCH", most)
+    c = case("5, step")
+    K, shape = len(c.static), c.static.shape[1:]
+    candidates = [some_candidates(VOLUME_GRIDS[0], shape, "clustered") for _ in range(K)]
+    results = []
+    for b in (reference, cpu):
+        found = c.disparities.copy()
+        costs = (
+            np.full((of.chunks, CHUNK), np.uint8(found.sum() % 97)) + np.arange(CHUNK, dtype=np.uint8)
+            for of in candidates
+        )
+        results.append(b.aggregates(costs, c.colour, c.static, candidates, FIRST, 4, found))
+    assert_same(*results)
+
+
 def test_long_paths_keep_their_numbers_small():
     """Where all is dear, costs gather along the path: over 700 pixels they would leave 16 bits."""
     rng = np.random.default_rng(1)

@@ -60,6 +60,7 @@ __all__ = [
 _views = OneByOne(sys.modules[__name__])
 planes_of_views = _views.planes_of_views
 everything = Candidates.all
+MOST_SCRATCH = 1 << 24  # entries of 16 bits that the paths of several views take together
 EVERYWHERE = np.empty((0, 0), np.int32)  # stands for the starts of chunks of no pixel in particular
 EVERY_PIXEL = np.empty((0, 0), np.uint8)  # stands for a mask of all pixels
 ALL_PIXELS = np.empty((0, 0, 0), np.uint8)  # and for one of every view
@@ -233,21 +234,36 @@ def aggregates(
     paths: int = 8,
     otherwise: Sequence[np.ndarray] | None = None,
 ) -> np.ndarray:
-    """What is found is written over `otherwise` where that lies in one piece."""
+    """What is found may be written over `otherwise`."""
     grid, shape = candidates[0].grid, (len(images), *static[0].shape)
-    if otherwise is None:
-        out = workspace.empty(shape, np.uint16)
-        out.fill(UNITS // EIGHTHS * grid.first)
-    else:
+    most = max(int(penalties.large.max()), penalties.dynamic)
+    need = [_core.aggregate_scratch(*shape[1:], grid.count, paths, most, of.chunks) for of in candidates]
+    batches, waiting = list(_batches(need)), iter(costs)
+    if otherwise is not None and len(batches) == 1:
         out = _stacked(otherwise)
-    need = sum(_core.aggregate_scratch(*shape[1:], grid.count, paths, of.chunks) for of in candidates)
-    scratch = workspace.empty((need,), np.uint16)
-    _core.aggregates(
-        _joined(list(costs)), _stacked(images), _bytes(_stacked(static)), _grid(grid),
-        _stacked([of.active for of in candidates]), _stacked([of.start for of in candidates]), penalties.small,
-        penalties.large, penalties.dynamic, paths, otherwise is None, scratch, out,
-    )  # fmt: skip
+    else:  # costs that are made later may look at what is found now
+        out = workspace.empty(shape, np.uint16)
+        out[...] = UNITS // EIGHTHS * grid.first if otherwise is None else _stacked(otherwise)
+    for some in batches:
+        polled = candidates[some]
+        scratch = workspace.empty((sum(need[some]),), np.uint16)
+        _core.aggregates(
+            _joined([next(waiting) for _ in polled]), _stacked(images[some]), _bytes(_stacked(static[some])),
+            _grid(grid), _stacked([of.active for of in polled]), _stacked([of.start for of in polled]),
+            penalties.small, penalties.large, penalties.dynamic, paths, otherwise is None, scratch, out[some],
+        )  # fmt: skip
     return out
+
+
+def _batches(sizes: Sequence[int]) -> Iterator[slice]:
+    """Views that go along together: as many as MOST_SCRATCH lets, or one."""
+    first = taken = 0
+    for k, size in enumerate(sizes):
+        if k > first and taken + size > MOST_SCRATCH:
+            yield slice(first, k)
+            first, taken = k, 0
+        taken += size
+    yield slice(first, len(sizes))
 
 
 def witnesses(
