@@ -49,6 +49,14 @@ def make(cameras: int = 5, size: tuple[int, int] = (720, 540), seed: int = 1) ->
     return Recording(rig, noisy, [mask for _, mask in seen])
 
 
+def inexact(recording: Recording, seed: int = 2) -> Recording:
+    """The same with masks as a network's: soft, and some pixels off, differently in every view."""
+    rng = np.random.default_rng(seed)
+    moves = (np.float32([[1, 0, dx], [0, 1, dy]]) for dx, dy in rng.integers(-6, 7, (len(recording.masks), 2)))
+    moved = [cv2.warpAffine(m, by, m.shape[::-1]) for m, by in zip(recording.masks, moves, strict=True)]
+    return Recording(recording.rig, recording.images, [cv2.GaussianBlur(mask, (0, 0), 4) for mask in moved])
+
+
 def _rig(cameras: int, size: tuple[int, int], rng: np.random.Generator) -> Rig:
     intrinsics = (FOCAL * size[0], FOCAL * size[0], (size[0] - 1) / 2, (size[1] - 1) / 2)
     made = []
