@@ -18,6 +18,7 @@ import numpy as np
 from seepast import multiview
 from seepast.backends import cpu_multiview
 from seepast.candidates import CHUNK
+from seepast.confidence import ray_count
 from seepast.frames import Frame
 from seepast.geometry import ArrayGeometry
 from seepast.options import Options
@@ -100,16 +101,16 @@ class Counted:
 
     def aggregates(self, costs, images, static, candidates, penalties, paths=8, otherwise=None):
         for of in candidates:
-            self._smoothing(of, paths)
+            self._smoothing(of, paths, otherwise is None)
         self.kernels["paths"].launches += 3
         return cpu_multiview.aggregates(costs, images, static, candidates, penalties, paths, otherwise)
 
     def aggregate(self, costs, image, static, candidates, penalties, paths=8, otherwise=None):
-        self._smoothing(candidates, paths)
+        self._smoothing(candidates, paths, otherwise is None)
         self.kernels["paths"].launches += 3
         return cpu_multiview.aggregate(costs, image, static, candidates, penalties, paths, otherwise)
 
-    def _smoothing(self, candidates, paths: int) -> None:
+    def _smoothing(self, candidates, paths: int, everywhere: bool) -> None:
         active = np.count_nonzero(candidates.active)
         chunks = int(np.unpackbits(np.ascontiguousarray(candidates.active).view(np.uint8)).sum())
         more = max(0.0, chunks / max(active, 1) - 2) / 2  # pairs of chunks beyond the first
@@ -117,7 +118,8 @@ class Counted:
         self.kernels["paths"].add(paths * chunks, 0, 2 * CHUNK)
         self.kernels["winners"].add(chunks, 240 + 70 * (paths == 8), CHUNK * (1 + paths))
         self.kernels["winners"].add(candidates.active.size, 0, 14)
-        self.kernels["median"].add(candidates.active.size, 430, 4)
+        self.kernels["median"].add(candidates.active.size, 0, 4 if everywhere else 12)
+        self.kernels["median"].add(candidates.active.size if everywhere else active, 430, 0)
 
     def votes_of_views(self, costs, disparities, confidence, statics, views, candidates, skips, weights):
         for of, static in zip(candidates, statics, strict=True):
@@ -166,7 +168,7 @@ class Counted:
         return cpu_multiview.labels(disparity, disparities, static, geometry, tolerance, wanted)
 
     def blend(self, colour, rays, clear, near, edge, geometry, disparity, wanted):
-        used = int(cpu_multiview.ray_count(rays)[wanted].sum())
+        used = int(ray_count(rays)[wanted].sum())
         self.kernels["blend"].add(used, 450, 0, 1)
         self.kernels["blend"].add(rays.size, 40, 8 + 4 * self.cameras)
         return cpu_multiview.blend(colour, rays, clear, near, edge, geometry, disparity, wanted)
@@ -192,14 +194,15 @@ class Counted:
         self.kernels["levels"].add(len(views) * np.prod(shape), 45, 3, 1)
         return cpu_multiview.enlarged(views, ratio, shape, factor)
 
-    def beside(self, views, reach):
-        turns = -(-reach // 16)
-        self.kernels["levels"].add(views.size, turns * (110 + 14 * reach / turns), 3, turns)
-        return cpu_multiview.beside(views, reach)
+    def beside(self, views, across, down):
+        turns = -(-max(across, down) // 16)
+        self.kernels["levels"].add(views.size, turns * 110 + 14 * down, 3, turns)
+        return cpu_multiview.beside(views, across, down)
 
-    def probability(self, evidence, table):
-        self.kernels["evidence"].add(evidence.size, 19, 5, 1)
-        return cpu_multiview.probability(evidence, table)
+    def told(self, d, evidence, table, shown, keep=None):
+        self.kernels["evidence"].add(d.size, 19, 5, 1)  # probability
+        self.kernels["evidence"].add(d.size, 10, 14, 2)  # disparity in px, by CuPy
+        return cpu_multiview.told(d, evidence, table, shown, keep)
 
     def fill_unseen(self, background, coverage, disparity):
         self.kernels["blend"].add(coverage.size, 21, 1, 1)
