@@ -610,11 +610,11 @@ def test_a_mask_that_is_missing_where_nobody_looked_from_is_noticed():
         view[10:50, 60 - 3 * k : 100 - 3 * k] = 254
     seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, Look(2, (0, 2, 4)), OPTIONS, cpu)
     options = OPTIONS.people
-    assert trusted(dynamic, seen, scene.geometry, options, cpu_people)
+    assert trusted(dynamic, seen, options, cpu_people)
     for wrong in (0, 254):
         missing = dynamic.copy()
         missing[1] = wrong
-        assert not trusted(missing, seen, scene.geometry, options, cpu_people)
+        assert not trusted(missing, seen, options, cpu_people)
 
 
 def test_span_of_the_static_scene():

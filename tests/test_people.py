@@ -198,8 +198,8 @@ def test_exact_masks_are_trusted_and_others_are_not() -> None:
     wide = np.stack([cv2.dilate(view, np.ones((1, 7), np.uint8)) for view in exact[:2]])
     for dynamic, trusted in ((exact, True), (spoilt(scene), False), (np.concatenate([wide, exact[2:]]), False)):
         for backend in (reference_people, cpu_people):
-            assert people.trusted(dynamic, seen, scene.geometry, OPTIONS, backend) == trusted
-    assert people.trusted(np.zeros_like(exact), seen, scene.geometry, OPTIONS, cpu_people)
+            assert people.trusted(dynamic, seen, OPTIONS, backend) == trusted
+    assert people.trusted(np.zeros_like(exact), seen, OPTIONS, cpu_people)
 
 
 def test_outline_share() -> None:

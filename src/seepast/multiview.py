@@ -49,7 +49,7 @@ def see_past(
         with clock("surfaces"):  # what every camera sees, people included, at a coarse look
             seen = surfaces(colour, geometry, look, options, backend, seen)
         with clock("people"):  # exact masks need no closer look
-            exact = not options.people.enabled or trusted(dynamic, seen, geometry, options.people, people)
+            exact = not options.people.enabled or trusted(dynamic, seen, options.people, people)
         if exact:
             break
     assert seen is not None

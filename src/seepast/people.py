@@ -118,9 +118,7 @@ def lattice(plane: np.ndarray, stride: int) -> np.ndarray:
 # --------------------------------------------------------------------------------------- who is there at all
 
 
-def trusted(
-    dynamic: np.ndarray, seen: Surfaces, geometry: ArrayGeometry, options: PeopleOptions, backend: ModuleType
-) -> bool:
+def trusted(dynamic: np.ndarray, seen: Surfaces, options: PeopleOptions, backend: ModuleType) -> bool:
     """Whether the masks are exact, by a look at reduced views: then there is nothing to refine, or to look closer at.
 
     Exact masks differ between views only where a surface is found wrong, along the outline. So what they differ by is

@@ -18,7 +18,6 @@ from .cpu import _bytes, _grid, view_arrays, workspace
 from .host import (
     beside,
     inner_span,
-    probability,
     three_channels,
 )
 from .one_by_one import OneByOne
@@ -45,7 +44,6 @@ __all__ = [
     "landings",
     "planes",
     "planes_of_views",
-    "probability",
     "three_channels",
     "told",
     "volume",

@@ -33,7 +33,6 @@ __all__ = [
     "lane",
     "mark",
     "probability",
-    "ray_count",
     "received",
     "rectified_frame",
     "three_channels",

@@ -46,7 +46,6 @@ from .host import (
     half_rows,
     inner_span,
     landings,
-    probability,
     three_channels,
     told,
 )
@@ -75,7 +74,6 @@ __all__ = [
     "landings",
     "planes",
     "planes_of_views",
-    "probability",
     "three_channels",
     "told",
     "volume",
