@@ -126,12 +126,17 @@ inline void pack_bits(const uint8_t* flags, int count, uint8_t* out) {
   }
 }
 
-// What of a block is not static, or lacks a valid bit: 1. `valid` are three planes and the static one.
+// Clears the valid bits of what is not static itself. `valid` are three planes of a block and the static one.
+// unclear: 1 where a valid bit lacks.
 SEEPAST_CLONES
-void find_unclear(const uint8_t* valid, int stride, uint8_t* __restrict unclear) {
-  const uint8_t *v0 = valid, *v1 = v0 + stride, *v2 = v1 + stride, *is_static = v2 + stride;
-  for (int x = 0; x < kBlock; ++x)
-    unclear[x] = (v0[x] & v1[x] & v2[x] & static_cast<uint8_t>(-is_static[x])) == 255 ? 0 : 1;
+void find_unclear(uint8_t* valid, int stride, uint8_t* __restrict unclear) {
+  uint8_t *v0 = valid, *v1 = v0 + stride, *v2 = v1 + stride;
+  const uint8_t* is_static = v2 + stride;
+  for (int x = 0; x < kBlock; ++x) {
+    const uint8_t all = static_cast<uint8_t>(-is_static[x]);
+    v0[x] &= all, v1[x] &= all, v2[x] &= all;
+    unclear[x] = (v0[x] & v1[x] & v2[x]) == 255 ? 0 : 1;
+  }
 }
 
 }  // namespace

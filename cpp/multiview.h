@@ -11,6 +11,7 @@ namespace seepast {
 
 constexpr int kUnits = 32;        // disparities of views: uint16 in 32nds of a pixel over the array
 constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
+constexpr int kFew = 9;           // many.py FEW
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
 constexpr int kBlock = 64;  // pixels that are matched together, and empty columns on either side of a row
 
@@ -51,7 +52,7 @@ void double_rows(const uint16_t* views, int count, int rows, int width, int heig
 void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out);
 
 struct PairCostParams {
-  const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0: few
+  const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0 below kFew
   uint8_t few, colour_cap, lone, unseen;
 };
 struct Pairs {

@@ -31,6 +31,7 @@ SEEPAST_INLINE Lanes choose(Lanes where, Lanes a, Lanes b) { return (where & a) 
 SEEPAST_INLINE Lanes lesser(Lanes a, Lanes b) { return (Lanes)_mm512_min_epu8((__m512i)a, (__m512i)b); }
 SEEPAST_INLINE Lanes greater(Lanes a, Lanes b) { return (Lanes)_mm512_max_epu8((__m512i)a, (__m512i)b); }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (Lanes)_mm512_avg_epu8((__m512i)a, (__m512i)b); }
+SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (Lanes)_mm512_adds_epu8((__m512i)a, (__m512i)b); }
 SEEPAST_INLINE Wide third(Wide sum) {
   return (Wide)_mm512_mulhi_epu16((__m512i)sum, _mm512_set1_epi16(21846));
 }
@@ -38,36 +39,40 @@ SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {
   return (Lanes)_mm512_popcnt_epi8((__m512i)a) + (Lanes)_mm512_popcnt_epi8((__m512i)b) +
          (Lanes)_mm512_popcnt_epi8((__m512i)c);
 }
-struct Scales {
-  explicit Scales(const uint8_t* table)
-      : all(_mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)table))) {}
-  SEEPAST_INLINE Lanes of(Lanes known) const { return (Lanes)_mm512_permutexvar_epi8((__m512i)known, all); }
-  __m512i all;
-};
+// What stands at the number of valid neighbours in a table of 32.
+SEEPAST_INLINE Lanes looked_up(const uint8_t* table, Lanes known) {
+  const __m512i all = _mm512_castsi256_si512(_mm256_loadu_si256((const __m256i*)table));
+  return (Lanes)_mm512_permutexvar_epi8((__m512i)known, all);
+}
+SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) { return looked_up(scale, known); }
+SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) { return looked_up(few, known); }
 #elif defined(SEEPAST_BYTES_AVX2)
 SEEPAST_INLINE Lanes lesser(Lanes a, Lanes b) { return (Lanes)_mm256_min_epu8((__m256i)a, (__m256i)b); }
 SEEPAST_INLINE Lanes greater(Lanes a, Lanes b) { return (Lanes)_mm256_max_epu8((__m256i)a, (__m256i)b); }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (Lanes)_mm256_avg_epu8((__m256i)a, (__m256i)b); }
+SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (Lanes)_mm256_adds_epu8((__m256i)a, (__m256i)b); }
 SEEPAST_INLINE Wide third(Wide sum) {
   return (Wide)_mm256_mulhi_epu16((__m256i)sum, _mm256_set1_epi16(21846));
 }
 SEEPAST_INLINE Lanes permuted(__m128i table, Lanes i) {
   return (Lanes)_mm256_shuffle_epi8(_mm256_broadcastsi128_si256(table), (__m256i)i);
 }
-SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {
-  const __m128i bits = _mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4);
-  Lanes sum{};
-  for (const Lanes v : {a, b, c}) sum += permuted(bits, v & 15) + permuted(bits, (Lanes)((Wide)v >> 4) & 15);
-  return sum;
+SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {  // of every three bits one counts once and one twice
+  const __m128i once = _mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4),
+                twice = _mm_setr_epi8(0, 2, 2, 4, 2, 4, 4, 6, 2, 4, 4, 6, 4, 6, 6, 8);
+  const auto count = [](__m128i table, Lanes v) {
+    return permuted(table, v & 15) + permuted(table, (Lanes)((Wide)v >> 4) & 15);
+  };
+  const Lanes either = a ^ b;
+  return count(once, either ^ c) + count(twice, (a & b) | (either & c));
 }
-struct Scales {
-  explicit Scales(const uint8_t* table)
-      : low(_mm_loadu_si128((const __m128i*)table)), high(_mm_loadu_si128((const __m128i*)(table + 16))) {}
-  SEEPAST_INLINE Lanes of(Lanes known) const {
-    return choose((Lanes)(known > 15), permuted(high, known & 15), permuted(low, known & 15));
-  }
-  __m128i low, high;
-};
+// What is 0 below kFew, and what is 0 from there on.
+SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) {
+  return permuted(_mm_loadu_si128((const __m128i*)(scale + kFew)), known - kFew);  // 0 for what is negative
+}
+SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) {
+  return permuted(_mm_loadu_si128((const __m128i*)few), lesser(known, all(15)));
+}
 #else
 SEEPAST_INLINE Lanes lesser(Lanes a, Lanes b) { return choose(reinterpret_cast<Lanes>(a < b), a, b); }
 SEEPAST_INLINE Lanes greater(Lanes a, Lanes b) { return choose(reinterpret_cast<Lanes>(a < b), b, a); }
@@ -75,6 +80,7 @@ SEEPAST_INLINE Lanes halved(Lanes v) {
   return reinterpret_cast<Lanes>(reinterpret_cast<Wide>(v) >> 1) & 0x7f;
 }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (a | b) - halved(a ^ b); }
+SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (a + b) | reinterpret_cast<Lanes>(a + b < a); }  // 255 at most
 SEEPAST_INLINE Wide third(Wide sum) {
   Wide out;
   for (int x = 0; x < kLanes / 2; ++x)
@@ -92,19 +98,17 @@ SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {
   const Lanes sum = fours(a) + fours(b) + fours(c);
   return (sum & 15) + shifted(sum, 4, 15);
 }
-struct Scales {
-  explicit Scales(const uint8_t* table) : low(load(table)), high(load(table + 16)) {}
-  SEEPAST_INLINE Lanes of(Lanes known) const {
+SEEPAST_INLINE Lanes looked_up(const uint8_t* table, Lanes known) {
 #if defined(__clang__)
-    Lanes out;
-    for (int x = 0; x < kLanes; ++x) out[x] = known[x] < 16 ? low[known[x]] : high[known[x] & 15];
-    return out;
+  Lanes out;
+  for (int x = 0; x < kLanes; ++x) out[x] = table[known[x]];
+  return out;
 #else
-    return __builtin_shuffle(low, high, known);
+  return __builtin_shuffle(load(table), load(table + 16), known);
 #endif
-  }
-  Lanes low, high;
-};
+}
+SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) { return looked_up(scale, known); }
+SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) { return looked_up(few, known); }
 #endif
 
 // Where a tile of one camera is read: column i of the plane p of row j at [j] + p stride + i, planes as those
@@ -176,7 +180,9 @@ struct RowMatcher {
   };
 
   RowMatcher(const Volume& volume, const Rows& rows)
-      : v(volume), rows(rows), scales(volume.params.census_scale) {
+      : v(volume), rows(rows) {
+    few[0] = kNoPair;
+    for (int known = 1; known < kFew; ++known) few[known] = volume.params.few;
     for (auto& of_row : drops) of_row.resize(volume.columns.shifts());
     steady.resize(volume.columns.shifts() / kChunk);
   }
@@ -418,19 +424,26 @@ struct RowMatcher {
   // Of cameras a, which is the view's own or not, and b.
   template <bool kOwn>
   SEEPAST_INLINE void match_pair(int a, int b, Found& found, int count, int x) {
+    const uint32_t again = (moved[a] | moved[b]) & ((uint32_t{1} << count) - 1), none = blind[a] | blind[b],
+                   is_clear = clear[a] & clear[b] & ~none;
+    for (int i = 0, last = 0; i < count; ++i) {
+      last = again >> i & 1 ? i : last;
+      found.at[i] = static_cast<uint8_t>(last);
+    }
+    for (uint32_t left = again & none; left; left &= left - 1)
+      store(found.costs[__builtin_ctz(left)] + x, all(kNoPair));
     const Tile own = tile_of(a, 0);
     const Sample of_own(own, x);
-    const uint32_t again = moved[a] | moved[b], is_clear = clear[a] & clear[b], none = blind[a] | blind[b];
-    for (int i = 0, last = 0; i < count; found.at[i++] = static_cast<uint8_t>(last)) {
-      if (!(again >> i & 1)) continue;
-      last = i;
-      if (none >> i & 1) {
-        store(found.costs[i] + x, all(kNoPair));
-        continue;
-      }
+    for (uint32_t left = again & is_clear; left; left &= left - 1) {
+      const int i = __builtin_ctz(left);
+      const Sample n(tile_of(b, i), x);
+      store(found.costs[i] + x, pair_of_clear(kOwn ? of_own : Sample(tile_of(a, i), x), n));
+    }
+    for (uint32_t left = again & ~none & ~is_clear; left; left &= left - 1) {
+      const int i = __builtin_ctz(left);
       const Tile first = kOwn ? own : tile_of(a, i), second = tile_of(b, i);
       const Sample m = kOwn ? of_own : Sample(first, x), n(second, x);
-      store(found.costs[i] + x, is_clear >> i & 1 ? pair_of_clear(m, n) : pair_cost(m, n, first, second, x));
+      store(found.costs[i] + x, pair_cost(m, n, first, second, x));
     }
   }
 
@@ -462,14 +475,11 @@ struct RowMatcher {
   SEEPAST_INLINE Lanes pair_cost(const Sample& a, const Sample& b, const Tile& of_a, const Tile& of_b,
                                  int x) const {
     const Lanes k0 = of_a.known(0, x) & of_b.known(0, x), k1 = of_a.known(1, x) & of_b.known(1, x),
-                k2 = of_a.known(2, x) & of_b.known(2, x);
-    const Lanes scale = scales.of(bits_of(k0, k1, k2));
+                k2 = of_a.known(2, x) & of_b.known(2, x), known = bits_of(k0, k1, k2);
     const Lanes differing = bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
                                     (a.census(2) ^ b.census(2)) & k2);
-    const Lanes scaled = eighths(differing, scale);
-    const Lanes census = choose(holds(scale), scaled, all(v.params.few));
-    const Lanes both = holds(of_a.is_static(x) & of_b.is_static(x));
-    return (census + colour_cost(a, b)) | ~both;
+    const Lanes census = eighths(differing, enough(v.params.census_scale, known)) | too_few(few, known);
+    return plus(census, colour_cost(a, b));
   }
 
   SEEPAST_INLINE Lanes colour_cost(const Sample& a, const Sample& b) const {
@@ -565,7 +575,7 @@ struct RowMatcher {
 
   const Volume& v;
   const Rows& rows;
-  const Scales scales;
+  alignas(32) uint8_t few[32] = {};  // cost of the census by the number of valid neighbours, if they are few
   std::vector<int32_t> drops[kTileRows];  // [camera, candidate]: how far below the row its rays land
   std::vector<uint8_t> steady;            // [camera, chunk]: find_steady
   uint64_t seen;                          // bit per pixel that is static there

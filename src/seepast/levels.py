@@ -63,11 +63,11 @@ class Views:
 
 
 def scales(geometry: ArrayGeometry, o: MultiviewOptions) -> list[int]:
-    """What the levels are reduced by, coarsest first: powers of two down to 1."""
+    """What the levels are reduced by, coarsest first: powers of `finer` down to 1."""
     found = [1]
     width, height = geometry.size
-    while 2 * found[0] <= min(o.coarsest, height) and width // (2 * found[0]) >= LEAST_WIDTH:
-        found.insert(0, 2 * found[0])
+    while (coarser := o.finer * found[0]) <= min(o.coarsest, height) and width // coarser >= LEAST_WIDTH:
+        found.insert(0, coarser)
     return found
 
 

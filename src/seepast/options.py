@@ -141,8 +141,9 @@ class MultiviewOptions(StageOptions):
     threshold: float = option(0.5, "", 0, 1, "a pixel is static where its prior P(static) is at least this")
     range_scale: int = option(4, "", 1, 8, "views are reduced this often to find the range of disparities")
     coarsest: int = option(
-        2, "", 1, 16, "views are first matched reduced this often, then at twice that size and so on"
+        2, "", 1, 16, "views are first matched reduced this often, then at `finer` times that size and so on"
     )
+    finer: int = option(2, "", 2, 16, "how many times as wide the next level is")
     window: float = option(2.0, "px", 0.5, 64, "then around what the coarser level found, that far either way")
     spread: int = option(4, "px", 0, 16, "and of its neighbours that near: thin things are easily missed there")
     half_rows: bool = option(
@@ -270,6 +271,7 @@ PRESETS: dict[str, Options] = {
         multiview=MultiviewOptions(
             enabled=True,
             coarsest=4,
+            finer=4,
             half_rows=True,
             rounds=1,
             window=1.5,

@@ -101,7 +101,7 @@ class Features:
 
     colour  uint8 [K, 2, H, W, 3]
     census  uint32 [K, 2, H, W]: bit per neighbour (REACH), set where it is darker than the sample
-    valid   uint32 [K, 2, H, W]: bit per neighbour, set where it is static
+    valid   uint32 [K, 2, H, W]: bit per neighbour, set where it is static, and the sample itself
     static  bool [K, 2, H, W]: both pixels that the sample lies between are static; at phase 0 the pixel itself
     """
 
@@ -130,7 +130,7 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
         usable[:, p] = static & beside if p else static
         for bit, (dy, dx) in enumerate(REACH):
             census[:, p] |= (moved(luma, dy, dx) < luma).astype(np.uint32) << np.uint32(bit)
-            valid[:, p] |= moved(usable[:, p], dy, dx).astype(np.uint32) << np.uint32(bit)
+            valid[:, p] |= (usable[:, p] & moved(usable[:, p], dy, dx)).astype(np.uint32) << np.uint32(bit)
     return Features(phases, census, valid, usable)
 
 
@@ -181,7 +181,7 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
     """Matching costs of the view's pixels at their candidates: uint8 [n, CHUNK].
 
     cost of a pair of static rays = 96 hamming / n over the n neighbours valid in both (costs.few where there are
-    fewer than 8) + min(mean |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the pairs tolerates
+    fewer than FEW) + min(mean |dBGR|, colour_cap). The mean of the smaller half (rounded up) of the pairs tolerates
     rays that a static nearer thing stops. Pairs are those with the view's own ray where that is static, else all
     others' (camera_pairs). No pair: costs.lone with one static ray, costs.unseen with none.
     """
@@ -210,18 +210,19 @@ def ray_samples(features: Features, geometry: ArrayGeometry, k: int, d: float):
     column = xh >> 1
     there = (column >= 0) & (column < width) & (row >= 0) & (row < height)
     at = k, xh & 1, row.clip(0, height - 1), column.clip(0, width - 1)
-    return features.census[at], features.valid[at], features.colour[at].astype(np.int32), there & features.static[at]
+    valid = np.where(there, features.valid[at], 0).astype(np.uint32)
+    return features.census[at], valid, features.colour[at].astype(np.int32), there & features.static[at]
 
 
 def pair_cost(a, b, costs: PairCosts) -> np.ndarray:
-    """int32 [H, W], NO_PAIR where not both rays are static. Nothing in it needs more than bytes if all are valid."""
+    """int32 [H, W], NO_PAIR where no neighbour of both rays is valid. Nothing in it needs more than bytes."""
     valid = a[1] & b[1]
     hamming, n = popcount((a[0] ^ b[0]) & valid), popcount(valid)
     scale = costs.census_scale[n].astype(np.int32)
     census = np.where(scale > 0, (hamming * scale + 4) >> 3, costs.few)
     blue, green, red = np.moveaxis(np.abs(a[2] - b[2]), -1, 0)
     step = (((blue + red + 1) >> 1) + green + 1) >> 1
-    return np.where(a[3] & b[3], census + np.minimum(step, costs.colour_cap), NO_PAIR)
+    return np.where(n > 0, census + np.minimum(step, costs.colour_cap), NO_PAIR)
 
 
 BITS = np.array([bin(byte).count("1") for byte in range(256)], np.int32)
