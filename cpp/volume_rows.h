@@ -111,37 +111,44 @@ SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) { return looked_u
 SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) { return looked_up(few, known); }
 #endif
 
-// Where a tile of one camera is read: column i of the plane p of row j at [j] + p stride + i, planes as those
-// of a phase.
-struct Tile {
-  // Pixels x .. x + kLanes of plane p.
-  SEEPAST_INLINE Lanes plane(int p, int x) const {
-    const size_t offset = p * stride;
 #if defined(SEEPAST_BYTES_AVX512)
-    static_assert(kColumns == 32 && kTileRows == 2);
-    const __m256i first = _mm256_loadu_si256((const __m256i*)(at[0] + offset)),
-                  second = _mm256_loadu_si256((const __m256i*)(at[1] + offset));
+constexpr int kRowsAtOnce = 2;
+static_assert(kLanes == 2 * kColumns);
+#else
+constexpr int kRowsAtOnce = 1;
+static_assert(kColumns % kLanes == 0);
+#endif
+
+// Where as much of a tile of one camera is read as there are lanes: plane p of row j at [j] + p stride, planes as
+// those of a phase.
+struct Tile {
+  SEEPAST_INLINE Lanes plane(int p) const {
+#if defined(SEEPAST_BYTES_AVX512)
+    const __m256i first = _mm256_loadu_si256((const __m256i*)(at[0] + p * stride)),
+                  second = _mm256_loadu_si256((const __m256i*)(at[1] + p * stride));
     return (Lanes)_mm512_inserti64x4(_mm512_castsi256_si512(first), second, 1);
 #else
-    static_assert(kColumns % kLanes == 0);
-    return load(at[x / kColumns] + offset + x % kColumns);
+    return load(at[0] + p * stride);
 #endif
   }
-  SEEPAST_INLINE Lanes known(int i, int x) const { return plane(plane_valid(0) + i, x); }
-  SEEPAST_INLINE Lanes is_static(int x) const { return plane(plane_static(0), x); }
+  SEEPAST_INLINE Lanes census(int i) const { return plane(i); }
+  SEEPAST_INLINE Lanes colour(int i) const { return plane(kBytes + i); }
+  SEEPAST_INLINE Lanes known(int i) const { return plane(plane_valid(0) + i); }
+  SEEPAST_INLINE Lanes is_static() const { return plane(plane_static(0)); }
 
-  const uint8_t* at[kTileRows];
-  size_t stride;
+  const uint8_t* at[kRowsAtOnce];
+  ptrdiff_t stride;
 };
 
-// What pairs compare of a tile.
-struct Sample {
-  SEEPAST_INLINE Sample(const Tile& tile, int x) {
-    for (int p = 0; p < 2 * kBytes; ++p) planes[p] = tile.plane(p, x);
+// One whose planes were read before.
+struct Copied {
+  SEEPAST_INLINE explicit Copied(const Tile& tile) {
+    for (int p = 0; p < 3 * kBytes; ++p) planes[p] = tile.plane(p);
   }
   SEEPAST_INLINE Lanes census(int i) const { return planes[i]; }
   SEEPAST_INLINE Lanes colour(int i) const { return planes[kBytes + i]; }
-  Lanes planes[2 * kBytes];
+  SEEPAST_INLINE Lanes known(int i) const { return planes[2 * kBytes + i]; }
+  Lanes planes[3 * kBytes];
 };
 
 SEEPAST_INLINE Lanes apart(Lanes a, Lanes b) { return greater(a, b) - lesser(a, b); }
@@ -170,6 +177,39 @@ SEEPAST_INLINE Lanes eighths(Lanes a, Lanes b) {
   return in_halves([&](auto half) { return (half(a) * half(b) + 4) >> 3; });
 #endif
 }
+
+// reference_multiview.pair_cost. A copy of what it takes: behind a pointer the compiler would read it again for
+// every pair, since costs might be written over it.
+struct PairCost {
+  // Where every neighbour of both rays is static ...
+  template <class A>
+  SEEPAST_INLINE Lanes of_clear(const A& a, const Tile& b) const {
+    const Lanes differing =
+        bits_of(a.census(0) ^ b.census(0), a.census(1) ^ b.census(1), a.census(2) ^ b.census(2));
+    const Lanes twice = differing + differing;
+    return twice + twice + of_colour(a, b);
+  }
+
+  // ... and anywhere.
+  template <class A>
+  SEEPAST_INLINE Lanes of(const A& a, const Tile& b) const {
+    const Lanes k0 = a.known(0) & b.known(0), k1 = a.known(1) & b.known(1), k2 = a.known(2) & b.known(2),
+                known = bits_of(k0, k1, k2);
+    const Lanes differing = bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
+                                    (a.census(2) ^ b.census(2)) & k2);
+    return plus(eighths(differing, enough(scale, known)) | too_few(few, known), of_colour(a, b));
+  }
+
+  template <class A>
+  SEEPAST_INLINE Lanes of_colour(const A& a, const Tile& b) const {
+    const Lanes blue = apart(a.colour(0), b.colour(0)), green = apart(a.colour(1), b.colour(1)),
+                red = apart(a.colour(2), b.colour(2));
+    return lesser(mean(mean(blue, red), green), cap);
+  }
+
+  const uint8_t *scale, *few;
+  Lanes cap;
+};
 
 // Two rows of the volume.
 struct RowMatcher {
@@ -270,6 +310,8 @@ struct RowMatcher {
       unclear |= bits_from(row + bits_unclear(stride), column % 8);
       seen |= static_cast<uint64_t>(bits_from(row + bits_seen(stride), column % 8)) << j * kColumns;
     }
+    for (int j = 0; j < kTileRows; ++j) std::fill_n(tiles[v.view.number][j], kRuns, own_planes[0] + j * kColumns);
+    moved[v.view.number] = 1;
     clear[v.view.number] = unclear ? 0 : ~0u;
     blind[v.view.number] = seen ? 0 : ~0u;
   }
@@ -308,7 +350,6 @@ struct RowMatcher {
   // The first `count` of the `chosen` runs.
   void match_runs(int t, int chunk, int count, uint64_t wanted) {
     for (int k = 0; k < v.array().cameras; ++k) {
-      moved[k] = 1;
       if (k == v.view.number) continue;
       const size_t at = static_cast<size_t>(k) * (v.columns.count / kChunk) + chunk;
       const uint32_t steps = count == kChunk && steady[at] ? v.columns.of_tiles[t].steps[at] : 0;
@@ -391,10 +432,20 @@ struct RowMatcher {
     return any(bits_seen(v.columns.stride)) ? 0 : kBlind;
   }
 
-  // Camera k at run i.
-  SEEPAST_INLINE Tile tile_of(int k, int i) const {
-    if (k == v.view.number) return {{own_planes[0], own_planes[0] + kColumns}, kBlock};
-    return {{tiles[k][0][i], tiles[k][1][i]}, static_cast<size_t>(v.columns.stride)};
+  // Where a camera is read at every run, from a pixel of the tile on.
+  struct Places {
+    SEEPAST_INLINE Tile at(int i) const {
+      Tile tile{{}, stride};
+      for (int j = 0; j < kRowsAtOnce; ++j) tile.at[j] = rows[j][i] + column;
+      return tile;
+    }
+    const uint8_t* const* rows[kRowsAtOnce];
+    ptrdiff_t column, stride;
+  };
+  SEEPAST_INLINE Places places(int k, int x) const {
+    Places found{{}, x % kColumns, k == v.view.number ? kBlock : v.columns.stride};
+    for (int j = 0; j < kRowsAtOnce; ++j) found.rows[j] = tiles[k][x / kColumns + j];
+    return found;
   }
 
   static void store_run(uint8_t* to, Lanes cost, uint64_t lanes) {
@@ -432,18 +483,20 @@ struct RowMatcher {
     }
     for (uint32_t left = again & none; left; left &= left - 1)
       store(found.costs[__builtin_ctz(left)] + x, all(kNoPair));
-    const Tile own = tile_of(a, 0);
-    const Sample of_own(own, x);
+    const PairCost cost{v.params.census_scale, few, all(v.params.colour_cap)};
+    const Places of_a = places(a, x), of_b = places(b, x);
+    const Copied own(of_a.at(0));  // of use if it is the view's own
+    const uint32_t unclear = again & ~none & ~is_clear;
+    uint8_t* const to = found.costs[0] + x;
     for (uint32_t left = again & is_clear; left; left &= left - 1) {
       const int i = __builtin_ctz(left);
-      const Sample n(tile_of(b, i), x);
-      store(found.costs[i] + x, pair_of_clear(kOwn ? of_own : Sample(tile_of(a, i), x), n));
+      const Tile other = of_b.at(i);
+      store(to + i * kBlock, kOwn ? cost.of_clear(own, other) : cost.of_clear(of_a.at(i), other));
     }
-    for (uint32_t left = again & ~none & ~is_clear; left; left &= left - 1) {
+    for (uint32_t left = unclear; left; left &= left - 1) {
       const int i = __builtin_ctz(left);
-      const Tile first = kOwn ? own : tile_of(a, i), second = tile_of(b, i);
-      const Sample m = kOwn ? of_own : Sample(first, x), n(second, x);
-      store(found.costs[i] + x, pair_cost(m, n, first, second, x));
+      const Tile other = of_b.at(i);
+      store(to + i * kBlock, kOwn ? cost.of(own, other) : cost.of(of_a.at(i), other));
     }
   }
 
@@ -458,34 +511,9 @@ struct RowMatcher {
     }
     if (sure) return cost;
     Lanes any{};
-    for (int k = 0; k < v.array().cameras; ++k) any |= tile_of(k, i).is_static(x);
+    for (int k = 0; k < v.array().cameras; ++k) any |= places(k, x).at(i).is_static();
     const Lanes without = choose(holds(any), all(v.params.lone), all(v.params.unseen));
     return choose(reinterpret_cast<Lanes>(cost == kNoPair), without, cost);
-  }
-
-  // reference_multiview.pair_cost where every neighbour of both rays is static ...
-  SEEPAST_INLINE Lanes pair_of_clear(const Sample& a, const Sample& b) const {
-    const Lanes differing =
-        bits_of(a.census(0) ^ b.census(0), a.census(1) ^ b.census(1), a.census(2) ^ b.census(2));
-    const Lanes twice = differing + differing;
-    return twice + twice + colour_cost(a, b);
-  }
-
-  // ... and anywhere.
-  SEEPAST_INLINE Lanes pair_cost(const Sample& a, const Sample& b, const Tile& of_a, const Tile& of_b,
-                                 int x) const {
-    const Lanes k0 = of_a.known(0, x) & of_b.known(0, x), k1 = of_a.known(1, x) & of_b.known(1, x),
-                k2 = of_a.known(2, x) & of_b.known(2, x), known = bits_of(k0, k1, k2);
-    const Lanes differing = bits_of((a.census(0) ^ b.census(0)) & k0, (a.census(1) ^ b.census(1)) & k1,
-                                    (a.census(2) ^ b.census(2)) & k2);
-    const Lanes census = eighths(differing, enough(v.params.census_scale, known)) | too_few(few, known);
-    return plus(census, colour_cost(a, b));
-  }
-
-  SEEPAST_INLINE Lanes colour_cost(const Sample& a, const Sample& b) const {
-    const Lanes blue = apart(a.colour(0), b.colour(0)), green = apart(a.colour(1), b.colour(1)),
-                red = apart(a.colour(2), b.colour(2));
-    return lesser(mean(mean(blue, red), green), all(v.params.colour_cap));
   }
 
   // Mean of the smaller half of the costs `found` of run i, kNoPair where none exists.
