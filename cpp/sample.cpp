@@ -238,6 +238,7 @@ template <bool kMasked>
                   second = sample_of<kMasked>(image, mask, width, places, j + 1);
     return _mm_blend_epi16(_mm_srli_epi32(first, 16), second, 0xaa);
   };
+  __builtin_prefetch(image + 3 * static_cast<ptrdiff_t>(places.at[i] + 2 * width));  // what the next row needs
   const __m128i four = _mm_packus_epi16(two(i), two(i + 2));
   const __m128i colours = _mm_setr_epi8(0, 2, 4, 1, 3, 5, 8, 10, 12, 9, 11, 13, -1, -1, -1, -1),
                 masks = _mm_setr_epi8(6, 7, 14, 15, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
