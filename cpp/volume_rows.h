@@ -216,7 +216,8 @@ struct RowMatcher {
   static constexpr int kRuns = 16;  // that are matched together
   struct Found {                    // of a pair
     alignas(64) uint8_t costs[kRuns][kBlock];
-    uint8_t at[kRuns];  // where in `costs` those of a run are
+    uint8_t at[kRuns];   // where in `costs` those of a run are,
+    uint32_t again = 0;  // if these runs were matched: a bit each
   };
 
   RowMatcher(const Volume& volume, const Rows& rows)
@@ -291,6 +292,12 @@ struct RowMatcher {
     const __m512i bit = _mm512_set1_epi64(static_cast<int64_t>(uint64_t{1} << chunk));
     for (int x = 0; x < kBlock; x += 8)
       lanes |= static_cast<uint64_t>(_mm512_test_epi64_mask(_mm512_loadu_si512(active + x), bit)) << x;
+#elif defined(SEEPAST_BYTES_AVX2)
+    const __m128i up = _mm_cvtsi32_si128(63 - chunk);  // to where a mask is taken from
+    for (int x = 0; x < kBlock; x += 4) {
+      const __m256i four = _mm256_sll_epi64(_mm256_load_si256((const __m256i*)(active + x)), up);
+      lanes |= static_cast<uint64_t>(_mm256_movemask_pd(_mm256_castsi256_pd(four))) << x;
+    }
 #else
     for (int x = 0; x < kBlock; ++x) lanes |= (active[x] >> chunk & 1) << x;
 #endif
@@ -472,15 +479,20 @@ struct RowMatcher {
     return sure;
   }
 
+  static void find_again(uint32_t again, Found& found) {
+    for (int i = 0, last = 0; i < kRuns; ++i) {
+      last = again >> i & 1 ? i : last;
+      found.at[i] = static_cast<uint8_t>(last);
+    }
+    found.again = again;
+  }
+
   // Of cameras a, which is the view's own or not, and b.
   template <bool kOwn>
   SEEPAST_INLINE void match_pair(int a, int b, Found& found, int count, int x) {
     const uint32_t again = (moved[a] | moved[b]) & ((uint32_t{1} << count) - 1), none = blind[a] | blind[b],
                    is_clear = clear[a] & clear[b] & ~none;
-    for (int i = 0, last = 0; i < count; ++i) {
-      last = again >> i & 1 ? i : last;
-      found.at[i] = static_cast<uint8_t>(last);
-    }
+    if (again != found.again) find_again(again, found);
     for (uint32_t left = again & none; left; left &= left - 1)
       store(found.costs[__builtin_ctz(left)] + x, all(kNoPair));
     const PairCost cost{v.params.census_scale, few, all(v.params.colour_cap)};
