@@ -13,7 +13,7 @@ from seepast.backends import cpu_multiview as cpu
 from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, DisparityGrid
 from seepast.frames import Frame
-from seepast.levels import MOST_CHUNKS, Level, Views, level_grid, of_half_rows, reduced, scales
+from seepast.levels import MOST_CHUNKS, Level, Pictures, Views, level_grid, of_half_rows, reduced, scales
 from seepast.many import UNITS
 from seepast.options import MultiviewOptions
 from seepast.pipeline import Clock
@@ -59,6 +59,8 @@ def test_array_of_half_rows_warps_the_same_points():
 def test_scales_halve_down_to_full_size_and_never_get_too_narrow():
     wide = replace(SCENE.geometry, size=(720, 540))
     assert scales(wide, MultiviewOptions(coarsest=4)) == [4, 2, 1]
+    assert scales(wide, MultiviewOptions(coarsest=4, finer=4)) == [4, 1]
+    assert scales(wide, MultiviewOptions(coarsest=16, finer=3)) == [9, 3, 1]
     assert scales(wide, MultiviewOptions(coarsest=3)) == [2, 1]
     assert scales(wide, MultiviewOptions(coarsest=1)) == [1]
     assert scales(replace(wide, size=(130, 90)), MultiviewOptions(coarsest=16)) == [2, 1]
@@ -84,6 +86,20 @@ def test_enlarged_repeats_pixels_and_continues_edges():
     views = np.arange(6, dtype=np.uint16).reshape(1, 2, 3)
     assert np.array_equal(cpu.enlarged(views, 2, (5, 7))[0, :, 4:], [[2, 2, 2]] * 2 + [[5, 5, 5]] * 3)
     assert cpu.enlarged(views, 1, (2, 3)) is views
+
+
+def test_pictures_are_reduced_once():
+    colour, static = cpu.three_channels(SCENE.colour), SCENE.dynamic <= 127
+    pictures = Pictures(colour, static, SCENE.geometry, cpu)
+    halved = cpu.half_rows(colour, static)
+    for half_rows, geometry, given in (
+        (False, SCENE.geometry, (colour, static)),
+        (True, of_half_rows(SCENE.geometry), halved),
+    ):
+        level, expected = pictures.level(2, half_rows), Level.of(*given, geometry, 2, cpu)
+        assert np.array_equal(level.colour, expected.colour) and np.array_equal(level.static, expected.static)
+        assert level.geometry.size == expected.geometry.size
+        assert pictures.level(2, half_rows) is level
 
 
 def test_views_at_a_finer_level_keep_their_depth():

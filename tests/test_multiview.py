@@ -17,6 +17,7 @@ from seepast.backends.reference import half_positions
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.confidence import VIEWS, ray_count
 from seepast.frames import Frame
+from seepast.levels import Pictures
 from seepast.many import (
     CONFIDENT,
     CUBIC,
@@ -558,10 +559,14 @@ def test_planes_straighten_slants():
     assert np.array_equal(found[~strip], d[~strip])
 
 
+def pictures_of(scene: Scene) -> Pictures:
+    return Pictures(cpu.three_channels(scene.colour), scene.dynamic <= 127, scene.geometry, cpu)
+
+
 def span_of(scene: Scene) -> tuple[float, float]:
     options = OPTIONS.updated({"people.enabled": False})
     (look,) = looks(scene.geometry, options)
-    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, look, options, cpu)
+    seen = surfaces(pictures_of(scene), scene.geometry, look, options, cpu)
     return static_span(seen, scene.dynamic <= 127, scene.geometry, options, cpu)
 
 
@@ -593,12 +598,12 @@ def test_few_cameras_are_the_ends_and_one_between(cameras, reference, few):
 
 def test_a_second_look_from_all_cameras_finds_what_one_look_does():
     scene = make_scene(5, (140, 64), colour=True)
-    colour, options = cpu.three_channels(scene.colour), OPTIONS
+    pictures, options = pictures_of(scene), OPTIONS
     few, every = Look(2, (0, 2, 4)), Look(2, (0, 1, 2, 3, 4))
-    first = surfaces(colour, scene.geometry, few, options, cpu)
+    first = surfaces(pictures, scene.geometry, few, options, cpu)
     assert not first.disparity[[1, 3]].any() and not first.agree[[1, 3]].any() and first.agree[few.cameras,].any()
-    whole = surfaces(colour, scene.geometry, every, options, cpu)
-    second = surfaces(colour, scene.geometry, every, options, cpu, first)
+    whole = surfaces(pictures, scene.geometry, every, options, cpu)
+    second = surfaces(pictures, scene.geometry, every, options, cpu, first)
     assert sorted(second.cameras) == sorted(whole.cameras)
     assert np.array_equal(second.disparity, whole.disparity) and np.array_equal(second.agree, whole.agree)
 
@@ -608,7 +613,7 @@ def test_a_mask_that_is_missing_where_nobody_looked_from_is_noticed():
     dynamic = np.zeros_like(scene.dynamic)
     for k, view in enumerate(dynamic):  # somebody flat on the wall, whose disparity is 12 px
         view[10:50, 60 - 3 * k : 100 - 3 * k] = 254
-    seen = surfaces(cpu.three_channels(scene.colour), scene.geometry, Look(2, (0, 2, 4)), OPTIONS, cpu)
+    seen = surfaces(pictures_of(scene), scene.geometry, Look(2, (0, 2, 4)), OPTIONS, cpu)
     options = OPTIONS.people
     assert trusted(dynamic, seen, options, cpu_people)
     for wrong in (0, 254):

@@ -47,6 +47,32 @@ class Level:
         return self.geometry.views
 
 
+class Pictures:
+    """The views of one instant, and the reduced ones that were asked for, each made once.
+
+    colour uint8 [K, H, W, 3], static bool [K, H, W] of full-size views
+    """
+
+    def __init__(self, colour: np.ndarray, static: np.ndarray, geometry: ArrayGeometry, backend: ModuleType) -> None:
+        self._whole, self._backend = (geometry, colour, static), backend
+        self._half_rows: tuple[ArrayGeometry, np.ndarray, np.ndarray] | None = None
+        self._levels: dict[tuple[int, bool], Level] = {}
+
+    def level(self, scale: int, half_rows: bool) -> Level:
+        """The views `scale` times smaller; with `half_rows` after every two of their rows were averaged into one."""
+        if (scale, half_rows) not in self._levels:
+            geometry, colour, static = self._rows_of_two if half_rows else self._whole
+            self._levels[scale, half_rows] = Level.of(colour, static, geometry, scale, self._backend)
+        return self._levels[scale, half_rows]
+
+    @property
+    def _rows_of_two(self) -> tuple[ArrayGeometry, np.ndarray, np.ndarray]:
+        if self._half_rows is None:
+            geometry, colour, static = self._whole
+            self._half_rows = (of_half_rows(geometry), *self._backend.half_rows(colour, static))
+        return self._half_rows
+
+
 @dataclass(frozen=True, eq=False)
 class Views:
     """What a level found in every view: disparity uint16 [K, h, w] in 32nds of one of its pixels over the array, and

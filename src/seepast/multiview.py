@@ -18,7 +18,7 @@ from . import backends, confidence
 from .candidates import Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
-from .levels import Level, Views, level_grid, of_half_rows, scales
+from .levels import Level, Pictures, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
@@ -43,11 +43,13 @@ def see_past(
     o, r = options.multiview, geometry.reference
     colour = backend.three_channels(frame.colour)
 
-    dynamic, people = frame.dynamic, backends.people(backend)
+    dynamic, people, most = frame.dynamic, backends.people(backend), np.uint8(254 * (1 - o.threshold))
+    static = dynamic <= most
+    pictures = Pictures(colour, static, geometry, backend)
     seen: Surfaces | None = None
     for look in looks(geometry, options):
         with clock("surfaces"):  # what every camera sees, people included, at a coarse look
-            seen = surfaces(colour, geometry, look, options, backend, seen)
+            seen = surfaces(pictures, geometry, look, options, backend, seen)
         with clock("people"):  # exact masks need no closer look
             exact = not options.people.enabled or trusted(dynamic, seen, options.people, people)
         if exact:
@@ -57,11 +59,12 @@ def see_past(
         with clock("people"):  # masks from all views: people as surfaces that all cameras see
             whole = seen.at_full_size(dynamic.shape[1:], backend)
             dynamic = refine_people(frame, whole, geometry, options.people, people)
-    static = dynamic <= np.uint8(254 * (1 - o.threshold))
+            static = dynamic <= most
+            pictures = Pictures(colour, static, geometry, backend)
     with clock("range"):  # candidates: between what the static surfaces span
         span = static_span(seen, static, geometry, options, backend)
 
-    disparities = views_disparities(colour, static, geometry, span, dynamic_only, options, backend, clock)
+    disparities = views_disparities(pictures, geometry, span, dynamic_only, options, backend, clock)
     d = disparities[r]
 
     keep = static[r]  # the reference sees these itself
@@ -87,8 +90,7 @@ def see_past(
 
 
 def views_disparities(
-    colour: np.ndarray,
-    static: np.ndarray,
+    pictures: Pictures,
     geometry: ArrayGeometry,
     span: tuple[float, float],
     dynamic_only: bool,
@@ -99,14 +101,11 @@ def views_disparities(
     """D_k of all views: uint16 [K, H, W] in 32nds of a pixel over the array. Coarse to fine: each level looks around
     what the one before it found."""
     o, height = options.multiview, geometry.size[1]
-    halved = o.half_rows and height > 1
-    if halved:  # a row more or less is nothing to a disparity
-        with clock("describe"):
-            geometry, (colour, static) = of_half_rows(geometry), backend.half_rows(colour, static)
+    halved = o.half_rows and height > 1  # a row more or less is nothing to a disparity
     found: Views | None = None
     for scale in scales(geometry, o):
         with clock("describe"):
-            level = Level.of(colour, static, geometry, scale, backend)
+            level = pictures.level(scale, halved)
         found = at_level(level, span, found, dynamic_only, options, backend, clock)
     assert found is not None
     with clock("labels"):

@@ -9,7 +9,7 @@ import numpy as np
 
 from .candidates import CHUNK, Candidates, DisparityGrid
 from .geometry import ArrayGeometry
-from .levels import Level, level_grid, of_half_rows, scales
+from .levels import Level, Pictures, level_grid, scales
 from .many import UNITS, PairCosts, Penalties
 from .options import Options
 
@@ -60,7 +60,7 @@ class Surfaces:
 
 
 def surfaces(
-    colour: np.ndarray,
+    pictures: Pictures,
     geometry: ArrayGeometry,
     look: Look,
     options: Options,
@@ -69,15 +69,12 @@ def surfaces(
 ) -> Surfaces:
     """Semi-global matching of reduced views, without any mask, through the whole range.
 
-    colour  uint8 [K, H, W, 3]
     before  an earlier look: what it found at the same scale is not looked for again
     """
     o = options.multiview
     if before is None or before.scale != look.scale or before.half_rows != look.half_rows:
-        static = np.ones_like(colour[..., 0], bool)
-        if look.half_rows:
-            geometry, (colour, static) = of_half_rows(geometry), backend.half_rows(colour, static)
-        level = Level.of(colour, static, geometry, look.scale, backend)
+        level = pictures.level(look.scale, look.half_rows)
+        level = replace(level, static=np.ones_like(level.static))
         before = Surfaces(level, (), np.zeros_like(level.static, np.uint16), level.static, look.half_rows)
     level, found = before.level, before.disparity
     new = [k for k in look.cameras if k not in before.cameras]
