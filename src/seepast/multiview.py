@@ -250,14 +250,14 @@ def wanted_view(
 
 
 def around_people(found: Views, o: MultiviewOptions, backend: ModuleType) -> np.ndarray:
-    """Where what people hide from the wanted view lies in every view, and `around` px (of full size) beside it:
-    bool [K, h, w]."""
+    """Where what people hide from the wanted view lies in every view, and `around` px (of full size) beside it, in rows
+    no more than that: bool [K, h, w]."""
     level = found.level
     r = level.geometry.reference
     d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
     there = backend.landings(~level.static[r], d, level.geometry)
     tall = 2 if o.half_rows else 1  # px of full size that a row of full size stands for
-    return backend.beside(there, -(-o.around // level.scale), -(-o.around // (tall * level.scale)))
+    return backend.beside(there, -(-o.around // level.scale), o.around // (tall * level.scale))
 
 
 def asked_for(
