@@ -11,7 +11,7 @@ namespace seepast {
 
 constexpr int kUnits = 32;        // disparities of views: uint16 in 32nds of a pixel over the array
 constexpr uint8_t kNoPair = 255;  // in costs: no two static rays
-constexpr int kFew = 9;           // many.py FEW
+constexpr int kFew = 8;           // many.py FEW
 constexpr int kFullVote = 1280;   // many.py FULL_VOTE
 constexpr int kBlock = 64;  // pixels that are matched together, and empty columns on either side of a row
 

@@ -68,7 +68,8 @@ SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {  // of every three bit
 }
 // What is 0 below kFew, and what is 0 from there on.
 SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) {
-  return permuted(_mm_loadu_si128((const __m128i*)(scale + kFew)), known - kFew);  // 0 for what is negative
+  return permuted(_mm_loadu_si128((const __m128i*)(scale + kFew + 1)), known - (kFew + 1)) |  // 0 for what is negative
+         ((Lanes)(known == kFew) & all(scale[kFew]));
 }
 SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) {
   return permuted(_mm_loadu_si128((const __m128i*)few), lesser(known, all(15)));

@@ -19,7 +19,7 @@ CUBIC = np.array([-8, 72, 72, -8], np.int32)
 LUMA = np.array([29, 150, 77], np.int32)  # of B, G, R in 256ths
 # neighbours (dy, dx) of the census: every other pixel of a 7 x 7 window, like a chessboard
 REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-3, 4) if (dy + dx) % 2 == 0 and (dy, dx) != (0, 0))
-FEW = 9  # of them, or more, must be static in both rays
+FEW = 8  # of them, or more, must be static in both rays
 
 
 def cubic_weights(t: np.ndarray) -> list[np.ndarray]:
