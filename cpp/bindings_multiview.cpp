@@ -252,11 +252,12 @@ void bind_multiview(nb::module_& m) {
   m.def(
       "blend",
       [](In<float, 2> offsets, float cx, float cy, int reference, In<uint8_t, 4> colour, In<uint16_t, 2> rays,
-         In<uint8_t, 3> clear, In<float, 1> near, float edge, In<uint16_t, 2> d, In<uint8_t, 2> wanted,
-         Out<uint8_t, 3> background) {
+         In<uint8_t, 3> clear, In<float, 1> near, In<int32_t, 1> order, float light, float edge,
+         In<uint16_t, 2> d, In<uint8_t, 2> wanted, Out<uint8_t, 3> background) {
         const Array array = array_of(offsets, cx, cy, d.shape(0), d.shape(1));
-        blend(array, reference, colour.data(), rays.data(), clear.data(), near.data(), edge, d.data(),
-              wanted.data(), background.data());
+        const RayWeights weights{clear.data(), near.data(), order.data(), light, edge};
+        blend(array, reference, colour.data(), rays.data(), weights, d.data(), wanted.data(),
+              background.data());
       },
       free_lock);
 }

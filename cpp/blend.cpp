@@ -89,44 +89,61 @@ void sample(Batch& batch) { interpolate(batch); }
 
 // Of a row's wanted pixels, the sums over rays.
 struct Sums {
-  explicit Sums(int width) : x(width), total(width), weights(width) {}
+  explicit Sums(int width) : x(width), total(width), weights(width), heaviest(width) {}
   std::vector<int32_t> x;
   std::vector<std::array<float, 3>> total;
-  std::vector<float> weights;
+  std::vector<float> weights, heaviest;
 };
 
-// The next of a row's wanted pixels, from `next` on, that have a ray of camera k. Returns where to go on.
-int gather(const uint16_t* rays, const uint16_t* d, int k, int next, int count, const Sums& sums,
-           Batch& batch) {
+// The next of a row's wanted pixels, from `next` on, that have a ray of camera k which counts. Returns where to
+// go on.
+int gather(const uint16_t* rays, const uint16_t* d, int k, const RayWeights& weights, int next, int count,
+           const Sums& sums, Batch& batch) {
   int n = 0;
+  const float near = weights.near[k], light = weights.light;
   for (; next < count && n < kBlock; ++next) {
     const int x = sums.x[next];
+    if (!(rays[x] >> k & 1) || near < light * sums.heaviest[next]) continue;
     batch.place[n] = next;
     batch.x[n] = x;
     batch.d[n] = static_cast<float>(d[x]) / static_cast<float>(kUnits);
-    n += rays[x] >> k & 1;
+    ++n;
   }
   batch.count = n;
   return next;
 }
 
-void add(const Array& array, const uint8_t* clear, float near, float edge, const Batch& batch, Sums& sums) {
+void add(const Array& array, int k, const RayWeights& weights, const Batch& batch, Sums& sums) {
+  const uint8_t* const clear = weights.clear + k * array.pixels();
   for (int i = 0; i < batch.count; ++i) {
     const int column = clamp(batch.column[i], 0, array.width - 1);
     const int row = clamp(batch.row[i], 0, array.height - 1);
     const bool is_clear = clear[static_cast<size_t>(row) * array.width + column];
-    const float weight = (is_clear ? 1.0f : edge) * near;
+    const float weight = (is_clear ? 1.0f : weights.edge) * weights.near[k];
     const int n = batch.place[i];
     for (int c = 0; c < 3; ++c) sums.total[n][c] += weight * batch.sample[c][i];
     sums.weights[n] += weight;
+    sums.heaviest[n] = std::max(sums.heaviest[n], weight);
+  }
+}
+
+// The means of a row's wanted pixels.
+SEEPAST_CLONES
+void put_means(const Sums& sums, int count, uint8_t* row) {
+  for (int n = 0; n < count; ++n) {
+    const float weight = sums.weights[n];
+    for (int c = 0; c < 3; ++c) {
+      const float value = std::floor(sums.total[n][c] / (weight > 0 ? weight : 1.0f) + 0.5f);
+      row[3 * sums.x[n] + c] =
+          static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
+    }
   }
 }
 
 }  // namespace
 
 void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,
-           const uint8_t* clear, const float* near, float edge, const uint16_t* d, const uint8_t* wanted,
-           uint8_t* background) {
+           const RayWeights& weights, const uint16_t* d, const uint8_t* wanted, uint8_t* background) {
   const size_t pixels = array.pixels();
 #pragma omp parallel
   {
@@ -143,22 +160,17 @@ void blend(const Array& array, int reference, const uint8_t* colour, const uint1
       }
       std::fill_n(sums.total.begin(), count, std::array<float, 3>{});
       std::fill_n(sums.weights.begin(), count, 0.0f);
-      for (int k = 0; k < array.cameras; ++k)
-        for (int next = 0; next < count;) {
-          next = gather(rays + line, d + line, k, next, count, sums, batch);
+      std::fill_n(sums.heaviest.begin(), count, 0.0f);
+      for (int i = 0; i < array.cameras; ++i)
+        for (int next = 0, k = weights.order[i]; next < count;) {
+          next = gather(rays + line, d + line, k, weights, next, count, sums, batch);
+          if (!batch.count) continue;
           find(array.offsets + kOffsets * k, array.cx, array.cy, y, batch);
           fetch(colour + 3 * k * pixels, array.height, array.width, batch);
           sample(batch);
-          add(array, clear + k * pixels, near[k], edge, batch, sums);
+          add(array, k, weights, batch, sums);
         }
-      for (int n = 0; n < count; ++n) {
-        const float weight = sums.weights[n];
-        for (int c = 0; c < 3; ++c) {
-          const float value = std::floor(sums.total[n][c] / (weight > 0 ? weight : 1.0f) + 0.5f);
-          background[3 * (line + sums.x[n]) + c] =
-              static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
-        }
-      }
+      put_means(sums, count, background + 3 * line);
     }
   }
 }

@@ -155,10 +155,15 @@ void told(const uint16_t* d, const uint8_t* evidence, const float* table, const 
 // host.clear_of_masks: uint8 [views, H, W], 0 or 1.
 void clear_of_masks(int views, int height, int width, const uint8_t* is_static, uint8_t* clear);
 
-// clear uint8 [K, H, W], 0: such pixels weigh `edge`; near float [K].
+// What rays weigh in the picture.
+struct RayWeights {
+  const uint8_t* clear;  // [K, H, W], 0: such pixels weigh `edge`
+  const float* near;     // [K]
+  const int32_t* order;  // [K]: of `near`, the greatest first
+  float light, edge;     // rays of cameras that weigh less than `light` of the heaviest so far are left out
+};
 void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,
-           const uint8_t* clear, const float* near, float edge, const uint16_t* d, const uint8_t* wanted,
-           uint8_t* background);
+           const RayWeights& weights, const uint16_t* d, const uint8_t* wanted, uint8_t* background);
 
 // Calls use(first, last, offset) for the runs of columns in [from, to) that have the same rounded offset,
 // which must be monotonic in x.

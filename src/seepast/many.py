@@ -19,6 +19,7 @@ CUBIC = np.array([-8, 72, 72, -8], np.int32)
 LUMA = np.array([29, 150, 77], np.int32)  # of B, G, R in 256ths
 # neighbours (dy, dx) of the census: every other pixel of a 7 x 7 window, like a chessboard
 REACH = tuple((dy, dx) for dy in range(-3, 4) for dx in range(-3, 4) if (dy + dx) % 2 == 0 and (dy, dx) != (0, 0))
+LIGHT = np.float32(1 / 64)  # rays that weigh less, beside the heaviest, are left out of the picture
 FEW = 8  # of them, or more, must be static in both rays
 
 
@@ -33,6 +34,11 @@ def cubic_weights(t: np.ndarray) -> list[np.ndarray]:
         (f(1.5) * near - f(2.5)) * near * near + f(1),
         ((f(-0.5) * far + f(2.5)) * far - f(4)) * far + f(2),
     ]
+
+
+def heaviest_first(near: np.ndarray) -> np.ndarray:
+    """int32 [K]: cameras by their weights near float32 [K], the greatest first."""
+    return np.argsort(-near, kind="stable").astype(np.int32)
 
 
 def camera_pairs(cameras: int, view: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:

@@ -13,7 +13,7 @@ from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..confidence import CLOSE
 from ..confidence import STEPS as FLATNESS_STEPS
 from ..geometry import ArrayGeometry
-from ..many import CONFIDENT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
+from ..many import CONFIDENT, LIGHT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, heaviest_first
 from .cpu import _bytes, _grid, view_arrays, workspace
 from .host import (
     beside,
@@ -445,6 +445,8 @@ def blend(
         rays,
         _bytes(clear),
         near,
+        heaviest_first(near),
+        LIGHT,
         edge,
         disparity,
         _bytes(wanted),

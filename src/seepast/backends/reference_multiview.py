@@ -26,6 +26,7 @@ from ..many import (
     CONFIDENT,
     CUBIC,
     FULL_VOTE,
+    LIGHT,
     LUMA,
     NO_PAIR,
     PLANE,
@@ -36,6 +37,7 @@ from ..many import (
     VoteWeights,
     camera_pairs,
     cubic_weights,
+    heaviest_first,
 )
 from .host import (
     averaged,
@@ -579,13 +581,15 @@ def blend(
     """Weighted mean of the rays' colours, cubic samples at x^k: uint8 [H, W, 3], the view's own where not wanted.
 
     rays uint16 [H, W]; clear bool [K, H, W]: pixels of camera k that are not beside a mask: those weigh `edge`; near
-    float32 [K]: weight of cameras, which falls with their distance, since blending far views blurs. 0 without any ray.
+    float32 [K]: weight of cameras, which falls with their distance, since blending far views blurs. A ray of a camera
+    that weighs less than LIGHT of the heaviest ray so far is left out. 0 without any ray.
     """
     height, width = rays.shape
     y, x = np.mgrid[:height, :width].astype(np.int32)
     total, weights = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.float32)
-    for k in range(geometry.cameras):
-        used = (rays >> k & 1).astype(bool)
+    heaviest = np.zeros_like(weights)
+    for k in heaviest_first(near):
+        used = (rays >> k & 1).astype(bool) & (near[k] >= LIGHT * heaviest)
         dx, dy = ray_offsets(geometry, k, x, y, disparity.astype(np.float32) / np.float32(UNITS))
         half = np.float32(0.5)
         column = (x + np.floor(dx + half).astype(np.int32)).clip(0, width - 1)
@@ -594,6 +598,7 @@ def blend(
         w = np.where(used, w, np.float32(0))
         total += w[..., None] * bicubic(colour[k], x, y, dx, dy)
         weights += w
+        heaviest = np.maximum(heaviest, w)
     mean = total / np.where(weights > 0, weights, np.float32(1))[..., None]
     value = np.floor(mean + np.float32(0.5)).clip(0, 255).astype(np.uint8)
     return np.where(wanted[..., None], value, colour[geometry.reference])

@@ -37,12 +37,13 @@ __device__ void add_bicubic(const uint8_t* __restrict__ image, int height, int w
 }  // namespace
 
 // Of one view: offsets [K, 5]; colour uint8 [K, H, W, 3]; rays, d uint16, wanted uint8 [H, W]; clear uint8
-// [K, H, W]: where 0, pixels weigh `edge`; near [K]; background uint8 [H, W, 3].
+// [K, H, W]: where 0, pixels weigh `edge`; near [K]; order int32 [K]: the greatest first; rays of cameras that
+// weigh less than `light` of the heaviest so far are left out. background uint8 [H, W, 3].
 extern "C" __global__ void __launch_bounds__(256)
     blend(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ colour,
           const uint16_t* __restrict__ rays, const uint8_t* __restrict__ clear,
-          const float* __restrict__ near, float edge, const uint16_t* __restrict__ d,
-          const uint8_t* __restrict__ wanted, int reference, int height, int width,
+          const float* __restrict__ near, const int32_t* __restrict__ order, float light, float edge,
+          const uint16_t* __restrict__ d, const uint8_t* __restrict__ wanted, int cameras, int reference, int height, int width,
           uint8_t* __restrict__ background) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
@@ -54,9 +55,11 @@ extern "C" __global__ void __launch_bounds__(256)
     return;
   }
   const float disparity = static_cast<float>(d[at]) / static_cast<float>(kUnits);
-  float total[kColours] = {}, weights = 0;
-  for (uint32_t rest = rays[at]; rest; rest &= rest - 1) {
-    const int k = __ffs(static_cast<int>(rest)) - 1;
+  float total[kColours] = {}, weights = 0, heaviest = 0;
+  for (int i = 0; i < cameras; ++i) {
+    const int k = order[i];
+    if (near[k] < light * heaviest) break;
+    if (!(rays[at] >> k & 1)) continue;
     const RayShift shift = shift_of(offsets + kOffsets * k, disparity);
     const float dx = ray_dx(shift, x, cx), dy = ray_dy(shift, y, cy);
     const int column = clamp(x + whole_offset(dx), 0, width - 1),
@@ -65,6 +68,7 @@ extern "C" __global__ void __launch_bounds__(256)
     const float weight = (is_clear ? 1.0f : edge) * near[k];
     add_bicubic(colour + kColours * k * pixels, height, width, x, y, dx, dy, weight, total);
     weights += weight;
+    heaviest = fmaxf(heaviest, weight);
   }
 #pragma unroll
   for (int c = 0; c < kColours; ++c) {
