@@ -208,10 +208,10 @@ class Counted:
         self.kernels["blend"].add(coverage.size, 21, 1, 1)
         return cpu_multiview.fill_unseen(background, coverage, disparity)
 
-    def landings(self, hidden, disparity, geometry):
+    def landings(self, hidden, low, high, geometry):
         self.kernels["levels"].add(hidden.size, 25, 6, 2)
         self.kernels["levels"].add(np.count_nonzero(hidden), 111 * self.cameras, 0)
-        return cpu_multiview.landings(hidden, disparity, geometry)
+        return cpu_multiview.landings(hidden, low, high, geometry)
 
     def clear_of_masks(self, static):
         self.kernels["levels"].add(static.size, 25, 2, 1)

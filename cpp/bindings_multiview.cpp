@@ -104,9 +104,10 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "landings",
-      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> d,
-         Out<uint8_t, 3> out) {
-        landings(array_of(offsets, cx, cy, d.shape(0), d.shape(1)), hidden.data(), d.data(), out.data());
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> low,
+         In<float, 2> high, Out<uint8_t, 3> out) {
+        landings(array_of(offsets, cx, cy, low.shape(0), low.shape(1)), hidden.data(), low.data(),
+                 high.data(), out.data());
       },
       free_lock);
 

@@ -164,9 +164,11 @@ void windows(int views, const uint16_t* disparity, const uint8_t* where, int row
   }
 }
 
-void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t* out) {
+void landings(const Array& array, const uint8_t* hidden, const float* low, const float* high, uint8_t* out) {
   const float cx = array.cx, cy = array.cy;
-#pragma omp parallel for schedule(static)
+  const float last_column = static_cast<float>(array.width - 1),
+              last_row = static_cast<float>(array.height - 1);
+#pragma omp parallel for schedule(dynamic, 1)
   for (int k = 0; k < array.cameras; ++k) {
     const float* offset = array.offsets + kOffsets * k;
     uint8_t* const there = out + k * array.pixels();
@@ -174,13 +176,19 @@ void landings(const Array& array, const uint8_t* hidden, const float* d, uint8_t
       for (int x = 0; x < array.width; ++x) {
         const size_t at = static_cast<size_t>(y) * array.width + x;
         if (!hidden[at]) continue;
-        const float scale = 1.0f / (1.0f - d[at] * offset[2]);
-        const float u = cx + (static_cast<float>(x) - cx - d[at] * offset[0]) * scale + offset[3];
-        const float v = cy + (static_cast<float>(y) - cy - d[at] * offset[1]) * scale + offset[4];
-        const float column = std::nearbyint(u), row = std::nearbyint(v);
-        if (column >= 0 && column < static_cast<float>(array.width) && row >= 0 &&
-            row < static_cast<float>(array.height))
-          there[static_cast<size_t>(row) * array.width + static_cast<size_t>(column)] = 1;
+        float u[2], v[2];
+        for (int i = 0; i < 2; ++i) {
+          const float d = i ? high[at] : low[at], scale = 1.0f / (1.0f - d * offset[2]);
+          u[i] = cx + (static_cast<float>(x) - cx - d * offset[0]) * scale + offset[3];
+          v[i] = cy + (static_cast<float>(y) - cy - d * offset[1]) * scale + offset[4];
+        }
+        const int left = static_cast<int>(std::max(std::nearbyint(std::min(u[0], u[1])), 0.0f)),
+                  right = static_cast<int>(std::min(std::nearbyint(std::max(u[0], u[1])), last_column)),
+                  top = static_cast<int>(std::max(std::nearbyint(std::min(v[0], v[1])), 0.0f)),
+                  bottom = static_cast<int>(std::min(std::nearbyint(std::max(v[0], v[1])), last_row));
+        for (int row = top; left <= right && row <= bottom; ++row)
+          std::memset(there + static_cast<size_t>(row) * array.width + left, 1,
+                      static_cast<size_t>(right - left + 1));
       }
   }
 }

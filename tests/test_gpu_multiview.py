@@ -170,8 +170,9 @@ def test_landings_and_beside(name):
     c = case(name)
     d = c.disparities[c.geometry.reference] / np.float32(UNITS)
     hidden = ~c.static[c.geometry.reference]
-    found = host.landings(hidden, d, c.geometry)
-    assert_same(found, levels.landings(hidden, d, c.geometry))
+    for high in (d + np.float32(0.75), d[::-1, ::-1].copy(), d):
+        found = host.landings(hidden, d, high, c.geometry)
+        assert_same(found, levels.landings(hidden, d, high, c.geometry))
     for reach in ((3, 3), (4, 2), (2, 17)):
         assert_same(host.beside(found, *reach), levels.beside(found, *reach))
 

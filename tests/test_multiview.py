@@ -230,8 +230,9 @@ def test_views_that_were_made_together_are_matched_without_a_copy():
 def test_landings(name):
     c = case(name)
     for k in c.some_views:
-        given = ~c.static[k], c.disparities[k] / np.float32(UNITS), c.views[k]
-        assert_same(*(b.landings(*given) for b in (reference, cpu)))
+        d = c.disparities[k] / np.float32(UNITS)
+        for high in (d, d + np.float32(0.75), d[::-1, ::-1].copy()):
+            assert_same(*(b.landings(~c.static[k], d, high, c.views[k]) for b in (reference, cpu)))
 
 
 @every_scene

@@ -27,6 +27,9 @@ from .surfaces import Surfaces, looks, static_span, surfaces
 if TYPE_CHECKING:
     from .pipeline import Clock
 
+CONTEXT = 16  # px of full size around what matters that a coarse level takes along
+ANY_DISTANCE = 1 << 20  # 32nds of a pixel: farther than any two disparities
+
 
 def see_past(
     frame: Frame,
@@ -129,7 +132,7 @@ def at_level(
     """Every camera is a reference once, then they vote: D_k and c_k of all views; the wanted one's with its own vote.
 
     span    (low, high) of the disparities, px of full-size views
-    before  what the next coarser level found; None: the whole span is looked through, everywhere
+    before  what the next coarser level found; None: the whole span is looked through
     """
     o, r, K = options.multiview, level.geometry.reference, level.geometry.cameras
     first, final = penalties(o)
@@ -137,7 +140,7 @@ def at_level(
     grid = level_grid(span, level.scale, options.range.step)
     with clock("candidates"):  # what is not matched here stays as the coarser level found it
         hides = None if before is None else around_people(before, o, backend)
-        area = asked_for(hides, before, o, dynamic_only, backend)
+        area = asked_for(hides, before, level, span, o, dynamic_only, backend)
         everywhere = area is None or bool(area.all())
         candidates = around(before, area, level, grid, o, backend)
         found = np.zeros_like(static, np.uint16) if before is None else before.at(level, backend)
@@ -152,10 +155,10 @@ def at_level(
         del features  # on a GPU they are large, and nobody asks for them again
     with clock("aggregate"):  # D_k = argmin of C_k smoothed along the paths
         # where views are matched around people only, the coarser level told the others all that this one knows
-        voters = matched if everywhere or o.rounds > 1 else [k for k in matched if k != r]
+        whole = everywhere or before is None
+        voters = matched if whole or o.rounds > 1 else [k for k in matched if k != r]
         better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
-    # views have a say where they were matched; the wanted one has none, who asks only where it sees nothing
-    asked = None if everywhere or o.planes else [None if k == r else own for k, own in enumerate(candidates)]
+    asked = graded_on(candidates, whole, everywhere, level, o, dynamic_only)
     seen = confirmed(better, level, asked, o, backend, clock)
     for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
         with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
@@ -167,8 +170,8 @@ def at_level(
         seen = confirmed(better, level, asked, o, backend, clock)
     if r in matched:
         # views that are known to 2 px only have no say where the wanted one sees for itself
-        weights = replace(VoteWeights.of(o), visible=everywhere)
-        smooth = final if everywhere else first
+        weights = replace(VoteWeights.of(o), visible=whole)
+        smooth = final if whole else first
         seen.disparity[r] = wanted_view(seen, costs[r], candidates[r], smooth, weights, o, backend, clock)
     return seen
 
@@ -245,7 +248,8 @@ def wanted_view(
     if o.planes:
         with clock("planes"):  # where fewer than two static views agree
             agree, _ = backend.witnesses(d, seen.disparity, level.static, geometry, -1, agreement(o))
-            d = backend.planes(d, agree >= 2, agree < 2, colour, static)
+            known, asked = (agree >= 2) & (d > 0), (agree < 2) & (candidates.active != 0)
+            d = backend.planes(d, known, asked, colour, static)
     return d
 
 
@@ -255,21 +259,48 @@ def around_people(found: Views, o: MultiviewOptions, backend: ModuleType) -> np.
     level = found.level
     r = level.geometry.reference
     d = found.disparity[r].astype(np.float32) / np.float32(UNITS)
-    there = backend.landings(~level.static[r], d, level.geometry)
+    there = backend.landings(~level.static[r], d, d, level.geometry)
     tall = 2 if o.half_rows else 1  # px of full size that a row of full size stands for
     return backend.beside(there, -(-o.around // level.scale), o.around // (tall * level.scale))
 
 
-def asked_for(
-    hides: np.ndarray | None, before: Views | None, o: MultiviewOptions, dynamic_only: bool, backend: ModuleType
-) -> np.ndarray | None:
-    """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, None where there is none.
+def within_reach(level: Level, span: tuple[float, float], o: MultiviewOptions, backend: ModuleType) -> np.ndarray:
+    """Where what people hide from the wanted view may lie in every view, whatever its disparity, and up to CONTEXT px
+    (of full size) beside it: bool [K, h, w]."""
+    hidden, context = ~level.static[level.geometry.reference], max(1, CONTEXT // level.scale)
+    low, high = (np.full_like(hidden, d / level.scale, np.float32) for d in span)
+    there = backend.landings(hidden, low, high, level.geometry)
+    return backend.beside(there, context, max(1, context // (2 if o.half_rows else 1)))
 
-    Everywhere; or, without fine_views, the other views only around what people hide from the wanted one, and there
+
+def graded_on(
+    candidates: list[Candidates], whole: bool, everywhere: bool, level: Level, o: MultiviewOptions, dynamic_only: bool
+) -> list[Candidates | None] | None:
+    """Where disparities are graded: None for everywhere. Views have a say where they were matched; on finer levels the
+    wanted one has none, who asks only where it sees nothing."""
+    if everywhere or (o.planes and not dynamic_only):
+        return None
+    r = level.geometry.reference
+    return [None if k == r and not (whole or o.planes) else own for k, own in enumerate(candidates)]
+
+
+def asked_for(
+    hides: np.ndarray | None,
+    before: Views | None,
+    level: Level,
+    span: tuple[float, float],
+    o: MultiviewOptions,
+    dynamic_only: bool,
+    backend: ModuleType,
+) -> np.ndarray | None:
+    """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, or of the coarsest one itself; None:
+    everywhere.
+
+    Everywhere, with dynamic_only within reach of what people hide; on finer levels everywhere too; or, without fine_views, the other views only around what people hide from the wanted one, and there
     only at what they see themselves, or a coarse pixel beside it (`around` is exact); with dynamic_only that one too.
     """
     if hides is None or before is None:
-        return None
+        return within_reach(level, span, o, backend) if dynamic_only else None
     r = before.level.geometry.reference
     area = hides.copy() if dynamic_only or not o.fine_views else np.ones_like(hides)
     if not o.fine_views:
@@ -296,10 +327,13 @@ def around(
     o: MultiviewOptions,
     backend: ModuleType,
 ) -> list[Candidates]:
-    """What every view is matched at: within `area` around what the coarser level found; at first everything."""
+    """What every view is matched at: within `area` around what the coarser level found; at first everything there."""
     K, *shape = level.static.shape
-    if before is None or area is None:
+    if area is None:
         return [backend.everything(grid, tuple(shape))] * K
+    if before is None:
+        anything = np.zeros_like(area, np.uint16)
+        return backend.windows_of_views(anything, area, 1, grid, ANY_DISTANCE, 0, tuple(shape), None, -1)
     ratio, reach = before.level.scale // level.scale, round(UNITS * o.window)
     # the wanted view is asked what lies behind people too; the others, without fine_views, what they see themselves
     within, whole = (None, -1) if o.fine_views else (level.static, level.geometry.reference)
@@ -330,7 +364,11 @@ def confirmed(
         confidence, sure = backend.graded_of_views(*given)
     if o.planes:
         with clock("planes"):  # least squares through the confirmed pixels around
-            found = backend.planes_of_views(found, sure, level.colour, level.static)
+            static = level.static
+            if candidates is not None:  # not where nothing was matched
+                looked = np.stack([of.active != 0 for of in candidates if of is not None])
+                static, sure = static & looked, sure | ~looked
+            found = backend.planes_of_views(found, sure, level.colour, static)
     return Views(level, found, confidence)
 
 

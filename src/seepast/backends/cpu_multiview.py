@@ -145,9 +145,9 @@ def windows_of_views(
     return [Candidates(grid, a, s) for a, s in zip(active, start, strict=True)]
 
 
-def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+def landings(hidden: np.ndarray, low: np.ndarray, high: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
     out = workspace.zeros((geometry.cameras, *hidden.shape), bool)
-    _core.landings(geometry.offsets, *geometry.center, _bytes(hidden), disparity, _bytes(out))
+    _core.landings(geometry.offsets, *geometry.center, _bytes(hidden), low, high, _bytes(out))
     return out
 
 

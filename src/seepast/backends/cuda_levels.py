@@ -78,10 +78,10 @@ def beside(views, across: int, down: int):
     return dilated(views, across, down)
 
 
-def landings(hidden, disparity, geometry: ArrayGeometry):
+def landings(hidden, low, high, geometry: ArrayGeometry):
     out = device.current().xp.zeros((geometry.cameras, *hidden.shape), bool)
     launch_tiles(
-        "level", "landings", (1, *hidden.shape), *view_table(geometry), hidden, disparity,
+        "level", "landings", (1, *hidden.shape), *view_table(geometry), hidden, low, high,
         *int32(geometry.cameras, *hidden.shape), out,
     )  # fmt: skip
     return out

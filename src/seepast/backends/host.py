@@ -146,17 +146,25 @@ def beside(views: np.ndarray, across: int, down: int) -> np.ndarray:
     return np.stack([cv2.dilate(np.ascontiguousarray(view).view(np.uint8), rectangle) for view in views]).view(bool)
 
 
-def landings(hidden: np.ndarray, disparity: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
-    """Where the rays of the reference's pixels `hidden` bool [h, w], disparity px [h, w], end in each view:
-    bool [K, h, w]."""
+def landings(hidden: np.ndarray, low: np.ndarray, high: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
+    """Where the rays of the reference's pixels `hidden` bool [h, w] end in each view, at disparities from low to high,
+    px float32 [h, w]: bool [K, h, w], the columns and rows between both ends."""
     out = np.zeros((geometry.cameras, *hidden.shape), bool)
     y, x = np.nonzero(hidden)
-    d = disparity[y, x]
     for k in range(geometry.cameras):
-        u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d))
-        there = (u >= 0) & (u < hidden.shape[1]) & (v >= 0) & (v < hidden.shape[0])
-        out[k, v[there], u[there]] = True
+        ends = (geometry.warp(k, x, y, d[y, x]) for d in (low, high))
+        (left, right), (top, bottom) = (_between(*of, n) for of, n in zip(zip(*ends), hidden.shape[::-1]))
+        for v in range(0, 1 + (bottom - top).max(initial=-1)):
+            for u in range(0, 1 + (right - left).max(initial=-1)):
+                there = (left + u <= right) & (top + v <= bottom)
+                out[k, (top + v)[there], (left + u)[there]] = True
     return out
+
+
+def _between(first: np.ndarray, last: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of whole numbers from first to last, whichever is less, the least and greatest in 0 .. count - 1."""
+    low, high = np.rint(np.minimum(first, last)), np.rint(np.maximum(first, last))
+    return np.maximum(low, 0).astype(np.int64), np.minimum(high, count - 1).astype(np.int64)
 
 
 def clear_of_masks(static: np.ndarray) -> np.ndarray:

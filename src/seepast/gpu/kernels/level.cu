@@ -82,22 +82,31 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   enlarge(in, height, width, ratio, factor, out_height, out_width, out);
 }
 
-// Sets in out uint8 [K, H, W], zero before, where the rays of the pixels `hidden` end at their disparity d,
-// px. offsets [K, 5]. Rounded as ArrayGeometry.warp and numpy.rint do.
+// Sets in out uint8 [K, H, W], zero before, where the rays of the pixels `hidden` end at disparities from low to
+// high, px: the columns and rows between both ends. offsets [K, 5]. Rounded as ArrayGeometry.warp and numpy.rint
+// do.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     landings(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ hidden,
-             const float* __restrict__ d, int cameras, int height, int width, uint8_t* __restrict__ out) {
+             const float* __restrict__ low, const float* __restrict__ high, int cameras, int height, int width,
+             uint8_t* __restrict__ out) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
   if (x >= width || y >= height || !hidden[y * width + x]) return;
-  const float here = d[y * width + x], from_x = static_cast<float>(x) - cx,
-              from_y = static_cast<float>(y) - cy;
+  const float d[2] = {low[y * width + x], high[y * width + x]};
+  const float from_x = static_cast<float>(x) - cx, from_y = static_cast<float>(y) - cy;
   for (int k = 0; k < cameras; ++k) {
     const float* o = offsets + kOffsets * k;
-    const float scale = 1.0f / (1.0f - here * o[2]);
-    const float u = rintf(cx + (from_x - here * o[0]) * scale + o[3]);
-    const float v = rintf(cy + (from_y - here * o[1]) * scale + o[4]);
-    if (u >= 0.0f && u < static_cast<float>(width) && v >= 0.0f && v < static_cast<float>(height))
-      out[index(k, height, width, static_cast<int>(v), static_cast<int>(u))] = 1;
+    float u[2], v[2];
+    for (int i = 0; i < 2; ++i) {
+      const float scale = 1.0f / (1.0f - d[i] * o[2]);
+      u[i] = cx + (from_x - d[i] * o[0]) * scale + o[3];
+      v[i] = cy + (from_y - d[i] * o[1]) * scale + o[4];
+    }
+    const int left = static_cast<int>(fmaxf(rintf(fminf(u[0], u[1])), 0.0f)),
+              right = static_cast<int>(fminf(rintf(fmaxf(u[0], u[1])), static_cast<float>(width - 1))),
+              top = static_cast<int>(fmaxf(rintf(fminf(v[0], v[1])), 0.0f)),
+              bottom = static_cast<int>(fminf(rintf(fmaxf(v[0], v[1])), static_cast<float>(height - 1)));
+    for (int row = top; row <= bottom; ++row)
+      for (int column = left; column <= right; ++column) out[index(k, height, width, row, column)] = 1;
   }
 }
 
