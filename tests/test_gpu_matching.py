@@ -13,7 +13,19 @@ from seepast.backends import reference_multiview as reference
 from seepast.candidates import CHUNK, Candidates, DisparityGrid
 from seepast.gpu import device
 from seepast.many import UNITS
-from test_multiview import COSTS, FINAL, FIRST, KINDS, STEEPEST, VOLUME_GRIDS, Case, assert_same, case, some_candidates
+from test_multiview import (
+    COSTS,
+    FINAL,
+    FIRST,
+    KINDS,
+    SOME_COSTS,
+    STEEPEST,
+    VOLUME_GRIDS,
+    Case,
+    assert_same,
+    case,
+    some_candidates,
+)
 
 SCENES = (
     "2 cameras",
@@ -119,13 +131,12 @@ def test_volume(name, kind):
     c = case(name)
     expected, found = cpu.describe(c.colour, c.static), cuda.describe(c.colour, c.static)
     views = [c.views[k] for k in c.some_views]
-    for grid in VOLUME_GRIDS:
+    for grid, costs in zip(VOLUME_GRIDS, SOME_COSTS, strict=True):
         candidates = some_candidates(grid, c.static.shape[1:], kind)
-        first, *others = (cpu.volume(expected, view, candidates, COSTS) for view in views)
-        assert_same(first, cuda.volume(found, views[0], candidates, COSTS))
-        for one, many in zip(
-            others, cuda.volumes(found, views, [known(candidates)] * len(views), COSTS)[1:], strict=True
-        ):
+        first, *others = (cpu.volume(expected, view, candidates, costs) for view in views)
+        assert_same(first, cuda.volume(found, views[0], candidates, costs))
+        of_views = cuda.volumes(found, views, [known(candidates)] * len(views), costs)
+        for one, many in zip(others, of_views[1:], strict=True):
             assert_same(one, many)
 
 
@@ -135,9 +146,10 @@ def test_volume_of_any_number_of_cameras(cameras):
     candidates = known(Candidates.all(VOLUME_GRIDS[1], c.static.shape[1:]))
     features = cpu.describe(c.colour, c.static)
     views = [c.views[k] for k in c.some_views]
-    found = cuda.volumes(cuda.describe(c.colour, c.static), views, [candidates] * len(views), COSTS)
-    for view, costs in zip(views, found, strict=True):
-        assert_same(cpu.volume(features, view, candidates, COSTS), costs)
+    for costs in SOME_COSTS:
+        found = cuda.volumes(cuda.describe(c.colour, c.static), views, [candidates] * len(views), costs)
+        for view, of_view in zip(views, found, strict=True):
+            assert_same(cpu.volume(features, view, candidates, costs), of_view)
 
 
 def test_volumes_of_views_with_candidates_of_their_own():

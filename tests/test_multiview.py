@@ -35,6 +35,7 @@ from seepast.pipeline import Clock
 from seepast.surfaces import SPARE, Look, few_cameras, looks, static_span, surfaces, well_placed
 
 OPTIONS = Options.preset("accurate").updated({"range.max_disparity": 60, "people.enabled": False})
+SOME_COSTS = PairCosts.of(OPTIONS.multiview), PairCosts.of(Options.preset("fast").multiview, wanted=0)
 COSTS, WEIGHTS = PairCosts.of(OPTIONS.multiview), VoteWeights.of(OPTIONS.multiview)
 FIRST, FINAL = Penalties.of(8, 150, 20, 60), Penalties.of(4, 40, 15, 40)
 VOLUME_GRIDS = (DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 80))
@@ -60,6 +61,12 @@ def some_candidates(grid: DisparityGrid, shape: tuple[int, int], kind: str) -> C
     return Candidates.of(grid, active)
 
 
+def sparse(scene: Scene) -> Scene:
+    """The same with so few static pixels that many have no static neighbour, or few."""
+    dynamic = np.where(np.random.default_rng(6).random(scene.dynamic.shape) < 0.9, 254, scene.dynamic)
+    return replace(scene, dynamic=dynamic.astype(np.uint8))
+
+
 GRIDS = (DisparityGrid(0, 4, 45), DisparityGrid(29, 8, 32), DisparityGrid(3, 3, 7))
 
 SCENES = {
@@ -73,6 +80,7 @@ SCENES = {
     "no mask": lambda: make_scene(3, (70, 25), masks="none", residual=True),
     "noise": lambda: noise_scene(4, (67, 23)),
     "noise of 7": lambda: noise_scene(7, (65, 19), reference=2, seed=3),
+    "lonely pixels": lambda: sparse(noise_scene(4, (66, 23), seed=5)),
     "one row": lambda: noise_scene(3, (50, 1)),
     "one column": lambda: noise_scene(3, (1, 20), residual=False),
 }
@@ -165,11 +173,11 @@ def test_volumes_that_are_held_are_not_written_over():
     everything = Candidates.all(grid, c.static.shape[1:])
     held = cpu.volume(features, c.views[k], everything, COSTS)
     was = held[:7].copy()
-    cpu.volume(features, c.views[k], everything, PairCosts(COSTS.census_scale, 1, 2, 3, 4))
+    cpu.volume(features, c.views[k], everything, replace(COSTS, few=1, colour_cap=2, lone=3, unseen=4))
     assert_same(held[:7], was)
     row = held[3]
     del held
-    cpu.volume(features, c.views[k], everything, PairCosts(COSTS.census_scale, 1, 2, 3, 4))
+    cpu.volume(features, c.views[k], everything, replace(COSTS, few=1, colour_cap=2, lone=3, unseen=4))
     assert_same(row, was[3])
 
 
@@ -241,11 +249,12 @@ def test_volume(name, kind):
     c = case(name)
     features = reference.describe(c.colour, c.static), cpu.describe(c.colour, c.static)
     for k in c.some_views:
-        for grid in VOLUME_GRIDS:
+        for grid, costs in zip(VOLUME_GRIDS, SOME_COSTS, strict=True):
             candidates = some_candidates(grid, c.static.shape[1:], kind)
-            assert_same(
-                *(b.volume(f, c.views[k], candidates, COSTS) for b, f in zip((reference, cpu), features, strict=True))
+            found = (
+                b.volume(f, c.views[k], candidates, costs) for b, f in zip((reference, cpu), features, strict=True)
             )
+            assert_same(*found)
 
 
 @every_scene
@@ -649,11 +658,16 @@ def test_span_where_nothing_is_sure_is_the_whole_search():
 
 
 def test_camera_pairs():
-    assert camera_pairs(3, 1) == ([(1, 0), (1, 2)], [(0, 2)])
-    assert camera_pairs(2, 0) == ([(0, 1)], [])
-    own, others = camera_pairs(16, 5)
-    assert len(own) == 15
-    assert all(k - j <= 2 and 5 not in (j, k) for j, k in others)
+    assert camera_pairs(3, 1, 1) == ([(1, 0), (1, 2)], [(0, 2)])
+    assert camera_pairs(2, 0, 15) == ([(0, 1)], [])
+    assert camera_pairs(5, 1, 1)[1] == [(0, 2), (2, 3), (3, 4)]
+    assert len(camera_pairs(5, 2, 15)[1]) == 6
+    own, others = camera_pairs(16, 5, 2)
+    assert len(own) == 15 and len(others) == 14 + 13
+    assert all(5 not in pair for pair in others)
+    costs = replace(COSTS, apart=1, wanted=2)
+    assert [costs.apart_of(5, k) >= 3 for k in range(5)] == [False, False, True, False, False]
+    assert [costs.apart_of(16, k) for k in (1, 2)] == [1, 2]
 
 
 def test_cubic_weights_are_keys():

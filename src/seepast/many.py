@@ -41,21 +41,18 @@ def heaviest_first(near: np.ndarray) -> np.ndarray:
     return np.argsort(-near, kind="stable").astype(np.int32)
 
 
-def camera_pairs(cameras: int, view: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Pairs that are matched where `view` sees the static scene itself, and where it does not.
-
-    With more than 6 cameras the latter keep to cameras at most two apart in their order.
-    """
+def camera_pairs(cameras: int, view: int, apart: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Pairs that are matched where `view` sees the static scene itself, and where it does not: of the others, in their
+    order, those that are at most `apart` places apart."""
     others = [k for k in range(cameras) if k != view]
-    with_own = [(view, k) for k in others]
-    without = [(j, k) for j in others for k in others if j < k and (cameras <= 6 or k - j <= 2)]
-    return with_own, without
+    return [(view, k) for k in others], [(j, k) for i, j in enumerate(others) for k in others[i + 1 : i + 1 + apart]]
 
 
 @dataclass(frozen=True, eq=False)
 class PairCosts:
     """Matching cost of a pair of rays; numbers below 101, so that costs fit bytes.
 
+    apart, wanted  of camera_pairs: `apart`, but everything for the camera `wanted`; see apart_of
     census_scale  uint8 [32]: cost of one differing neighbour in 8ths, by how many are valid: 4 if all 24 are;
                   0 below FEW
     few           cost of the census there
@@ -63,17 +60,26 @@ class PairCosts:
     lone, unseen  costs with one static ray, with none
     """
 
+    apart: int
+    wanted: int
     census_scale: np.ndarray
     few: int
     colour_cap: int
     lone: int
     unseen: int
 
+    def apart_of(self, cameras: int, view: int) -> int:
+        """`apart` of camera_pairs. Of many cameras, two at most: their pairs would be too many."""
+        apart = cameras if view == self.wanted else self.apart
+        return min(apart, 2) if cameras > 6 else apart
+
     @staticmethod
-    def of(options: MultiviewOptions) -> PairCosts:
+    def of(options: MultiviewOptions, wanted: int = -1) -> PairCosts:
         n = np.arange(32)
         scale = np.where(n < FEW, 0, np.round(8 * 4 * len(REACH) / np.maximum(n, FEW))).astype(np.uint8)
-        return PairCosts(scale, options.few_cost, options.colour_cap, options.lone_cost, options.unseen_cost)
+        return PairCosts(
+            options.apart, wanted, scale, options.few_cost, options.colour_cap, options.lone_cost, options.unseen_cost
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,7 @@ def at_level(
         features = backend.describe(colour, static)
     with clock("volume"):  # C_k(x, d): mean of the smaller half of the static pairs' costs
         of_matched = backend.volumes(
-            features, [views[k] for k in matched], [candidates[k] for k in matched], PairCosts.of(o)
+            features, [views[k] for k in matched], [candidates[k] for k in matched], PairCosts.of(o, r)
         )
         costs = dict(zip(matched, of_matched, strict=True))
         del features  # on a GPU they are large, and nobody asks for them again
@@ -296,8 +296,9 @@ def asked_for(
     """Where a level is matched: bool [K, h, w] in the pixels of the coarser one, or of the coarsest one itself; None:
     everywhere.
 
-    Everywhere, with dynamic_only within reach of what people hide; on finer levels everywhere too; or, without fine_views, the other views only around what people hide from the wanted one, and there
-    only at what they see themselves, or a coarse pixel beside it (`around` is exact); with dynamic_only that one too.
+    Everywhere; with dynamic_only within reach of what people hide. Without fine_views finer levels match the other
+    views only around what people hide from the wanted one, and there only at what they see themselves, or a coarse
+    pixel beside it (`around` is exact); with dynamic_only that one too.
     """
     if hides is None or before is None:
         return within_reach(level, span, o, backend) if dynamic_only else None

@@ -158,6 +158,13 @@ class MultiviewOptions(StageOptions):
     )
     around: int = option(16, "px", 0, 256, "and that far beside it; so it is where other views are heard a second time")
     paths: int = option(4, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
+    apart: int = option(
+        15,
+        "",
+        1,
+        15,
+        "what views other than the wanted one do not see is matched between cameras that near in their order",
+    )
     colour_cap: int = option(33, "", 0, 100, "a pair's mean colour step costs no more; the census is 96 at most")
     few_cost: int = option(40, "", 0, 100, "of the census where fewer than 8 neighbours are static in both rays")
     lone_cost: int = option(25, "", 0, 250, "cost where only one static ray exists")
@@ -278,6 +285,7 @@ PRESETS: dict[str, Options] = {
             spread=2,
             fine_views=False,
             around=4,
+            apart=1,
             planes=False,
         ),
     ),

@@ -160,7 +160,8 @@ def volumes(
 ) -> list[np.ndarray]:
     if not views:  # nothing is asked for
         return []
-    pairs = [np.array(p, np.int32).reshape(-1, 2) for v in views for p in camera_pairs(v.cameras, v.reference)]
+    numbers = [(v.cameras, v.reference) for v in views]
+    pairs = [np.array(p, np.int32).reshape(-1, 2) for of in numbers for p in camera_pairs(*of, costs.apart_of(*of))]
     out = workspace.empty((sum(c.chunks for c in candidates), CHUNK), np.uint8)
     _core.volumes(
         *view_arrays(views), np.array([v.reference for v in views], np.int32), features.colour,

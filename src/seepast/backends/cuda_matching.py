@@ -189,12 +189,13 @@ def volumes(
     slices = next(s for s in (1, 2, 4) if s == 4 or s * n * height * width >= ENOUGH_THREADS)
     at = tables.addresses([(c.active, c.start, o) for c, o in zip(candidates, out, strict=True)])
     scale = tables.constant(costs.census_scale)
+    apart = tables.constant(np.array([costs.apart_of(K, v.reference) for v in views], np.int32))
     params = (costs.few, costs.colour_cap, costs.lone, costs.unseen)
     here.launch(
         "volume", next(name for most, name in VOLUME_OF if most >= K),
         grid=_tiles((height, width), n * slices), block=TILE,
-        args=[features.samples, features.valid, *map(_int, (K, height, width)), at, which, centres, shifts,
-              _int(grid.count), _int(slices), scale, *map(_int, params)],
+        args=[features.samples, features.valid, *map(_int, (K, height, width)), at, which, apart, centres,
+              shifts, _int(grid.count), _int(slices), scale, *map(_int, params)],
     )  # fmt: skip
     return out
 

@@ -41,9 +41,10 @@ def _planes(kernel: str, found, *args):
 def blend(colour, rays, clear, near: np.ndarray, edge: float, geometry: ArrayGeometry, disparity, wanted):
     """near float32 [K]: a NumPy array."""
     out = device.current().xp.empty(colour.shape[1:], np.uint8)
+    numbers = *int32(geometry.cameras, geometry.reference, *rays.shape), out
     launch_tiles(
         "blend", "blend", (1, *rays.shape), *view_table(geometry), colour, rays, clear, constant(near),
-        constant(heaviest_first(near)), LIGHT, np.float32(edge), disparity, wanted, *int32(geometry.cameras, geometry.reference, *rays.shape), out,
+        constant(heaviest_first(near)), LIGHT, np.float32(edge), disparity, wanted, *numbers,
     )  # fmt: skip
     return out
 

@@ -152,12 +152,13 @@ def landings(hidden: np.ndarray, low: np.ndarray, high: np.ndarray, geometry: Ar
     out = np.zeros((geometry.cameras, *hidden.shape), bool)
     y, x = np.nonzero(hidden)
     for k in range(geometry.cameras):
-        ends = (geometry.warp(k, x, y, d[y, x]) for d in (low, high))
-        (left, right), (top, bottom) = (_between(*of, n) for of, n in zip(zip(*ends), hidden.shape[::-1]))
-        for v in range(0, 1 + (bottom - top).max(initial=-1)):
-            for u in range(0, 1 + (right - left).max(initial=-1)):
-                there = (left + u <= right) & (top + v <= bottom)
-                out[k, (top + v)[there], (left + u)[there]] = True
+        (u, v), (other_u, other_v) = (geometry.warp(k, x, y, d[y, x]) for d in (low, high))
+        left, right = _between(u, other_u, hidden.shape[1])
+        top, bottom = _between(v, other_v, hidden.shape[0])
+        for j in range(1 + (bottom - top).max(initial=-1)):
+            for i in range(1 + (right - left).max(initial=-1)):
+                there = (left + i <= right) & (top + j <= bottom)
+                out[k, (top + j)[there], (left + i)[there]] = True
     return out
 
 

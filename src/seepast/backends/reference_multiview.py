@@ -190,7 +190,7 @@ def volume(features: Features, geometry: ArrayGeometry, candidates: Candidates, 
     grid = candidates.grid
     r = geometry.reference
     K, _, height, width = features.static.shape
-    with_own, others = camera_pairs(K, r)
+    with_own, others = camera_pairs(K, r, costs.apart_of(K, r))
     own = features.static[r, 0]
     out = np.empty((height, width, grid.count), np.uint8)
     for i, d in enumerate(grid.values):

@@ -129,6 +129,6 @@ extern "C" __global__ void __launch_bounds__(kColumns* kRows)
   uint32_t* known = valid + 2 * k * pixels + at;
   to[0] = make_uint2(darker_here, colour_of(b) | flags(own & 1, whole));
   to[pixels] = make_uint2(darker_between, colour_between(a, b, c, d) | flags(own & 2, between));
-  known[0] = whole;
-  known[pixels] = between;
+  known[0] = own & 1 ? whole : 0;
+  known[pixels] = own & 2 ? between : 0;
 }

@@ -80,10 +80,11 @@ __device__ inline unsigned colour_cost(const Cameras& c, const Ray& a, const Ray
   return min(step, c.colour_cap);
 }
 
-// 96 hamming / n of rays that are static but have neighbours that are not.
+// 96 hamming / n of rays that are static but have neighbours that are not; kNoPair where no neighbour is static
+// in both.
 __device__ inline unsigned unclear_census(const Cameras& c, const Ray& a, const Ray& b) {
   const unsigned known = c.valid[a.index] & c.valid[b.index], scale = c.census_scale[__popc(known)];
-  return scale ? (__popc((a.census ^ b.census) & known) * scale + 4) >> 3 : c.few;
+  return scale ? (__popc((a.census ^ b.census) & known) * scale + 4) >> 3 : known ? c.few : kNoPair;
 }
 
 __device__ inline bool is_unclear(const Ray& a, const Ray& b) {
@@ -99,15 +100,15 @@ __device__ inline unsigned clear_cost(const Cameras& c, const Ray& a, const Ray&
 // The smallest kSlots of the costs so far, in order.
 template <int kSlots>
 struct SmallerHalf {
-  unsigned least[kSlots], known;  // known: how many, times kStatic
+  unsigned least[kSlots], known;  // known: how many
 
   __device__ void clear() {
     known = 0;
 #pragma unroll
     for (int q = 0; q < kSlots; ++q) least[q] = kNoPair;
   }
-  __device__ void add(unsigned cost, unsigned is_static) {
-    known += is_static;
+  __device__ void add(unsigned cost) {
+    known += cost != kNoPair;
 #pragma unroll
     for (int q = 0; q < kSlots; ++q) {
       const unsigned low = min(least[q], cost);
@@ -118,7 +119,7 @@ struct SmallerHalf {
   // Their mean, rounded to the nearest; kNoPair if there is none. Division by products of 16 bits: exact up
   // to 14 costs of a byte.
   __device__ unsigned mean() const {
-    const unsigned half = (known + kStatic) / (2 * kStatic);
+    const unsigned half = (known + 1) / 2;
     unsigned sum = (half >> 1) + least[0], share = 65536;
 #pragma unroll
     for (int q = 1; q < kSlots; ++q)
@@ -127,28 +128,30 @@ struct SmallerHalf {
   }
 };
 
-// Costs of one ray with `count` others: 96 hamming / n + min(mean colour step, cap); kNoPair unless both are
-// static.
+// Costs of one ray with others, of `first` .. count - 1: 96 hamming / n + min(mean colour step, cap); kNoPair
+// unless both are static.
 template <int kMost, int kSlots>
-__device__ inline void add_pairs(const Cameras& c, const Ray& one, const Ray* several, int count,
+__device__ inline void add_pairs(const Cameras& c, const Ray& one, const Ray* several, int first, int count,
                                  SmallerHalf<kSlots>& costs) {
   unsigned found[kMost];
   bool unclear = false;
 #pragma unroll
   for (int i = 0; i < kMost; ++i) {
-    if (i >= count) continue;
+    if (i < first || i >= count) continue;
     found[i] = clear_cost(c, one, several[i]);
     unclear = unclear || is_unclear(one, several[i]);
   }
   if (unclear) {
 #pragma unroll
     for (int i = 0; i < kMost; ++i)
-      if (i < count && is_unclear(one, several[i]))
-        found[i] = unclear_census(c, one, several[i]) + colour_cost(c, one, several[i]);
+      if (i >= first && i < count && is_unclear(one, several[i])) {
+        const unsigned census = unclear_census(c, one, several[i]);
+        found[i] = census == kNoPair ? kNoPair : census + colour_cost(c, one, several[i]);
+      }
   }
 #pragma unroll
   for (int i = 0; i < kMost; ++i)
-    if (i < count) costs.add(found[i], one.colour & several[i].colour & kStatic);
+    if (i >= first && i < count) costs.add(found[i]);
 }
 
 // What one candidate costs a pixel that the view sees itself: its own ray with every other.
@@ -163,15 +166,16 @@ __device__ inline unsigned own_cost(const Cameras& c, const Ray& own, const Shif
     Ray rays[kAtOnce];
 #pragma unroll
     for (int i = 0; i < kAtOnce; ++i) rays[i] = ray_at(c, shifts + first + i, x, y, first + i < c.count - 1);
-    add_pairs<kAtOnce>(c, own, rays, kAtOnce, costs);
+    add_pairs<kAtOnce>(c, own, rays, 0, kAtOnce, costs);
   }
   return costs.mean();
 }
 
-// And one that it does not: all pairs of the others' rays ...
+// And one that it does not: pairs of the others' rays that are at most `apart` places apart (many.py
+// camera_pairs) ...
 template <int kOthers, int kSlots>
 __device__ inline unsigned others_cost(const Cameras& c, const Shift* __restrict__ shifts, int x, int y,
-                                       bool& any) {
+                                       int apart, bool& any) {
   SmallerHalf<kSlots> costs;
   costs.clear();
   Ray rays[kOthers];
@@ -182,31 +186,31 @@ __device__ inline unsigned others_cost(const Cameras& c, const Shift* __restrict
     any = any || rays[i].colour & kStatic;
   }
 #pragma unroll
-  for (int i = 1; i < kOthers; ++i) add_pairs<kOthers - 1>(c, rays[i], rays, i, costs);
+  for (int i = 1; i < kOthers; ++i) add_pairs<kOthers - 1>(c, rays[i], rays, i - apart, i, costs);
   return costs.mean();
 }
 
-// ... or, of more than six cameras, those that are at most two apart (many.py camera_pairs).
+// ... which are at most two where there are more than six cameras.
 template <int kSlots>
-__device__ inline unsigned others_cost_of_many(const Cameras& c, int view, const Shift* __restrict__ shifts,
-                                               int x, int y, bool& any) {
+__device__ inline unsigned others_cost_of_many(const Cameras& c, const Shift* __restrict__ shifts,
+                                               int x, int y, int apart, bool& any) {
   SmallerHalf<kSlots> costs;
   costs.clear();
   Ray before[2] = {{0, 0, 0}, {0, 0, 0}};
   any = false;
 #pragma unroll 1
-  for (int k = 0; k < c.count; ++k) {
-    const Ray ray = ray_at(c, shifts + k - (k > view), x, y, k != view);
+  for (int i = 0; i < c.count - 1; ++i) {
+    const Ray ray = ray_at(c, shifts + i, x, y, true);
     any = any || ray.colour & kStatic;
-    add_pairs<2>(c, ray, before, 2, costs);
+    add_pairs<2>(c, ray, before, 0, apart, costs);
     before[1] = before[0], before[0] = ray;
   }
   return costs.mean();
 }
 
 template <int kOthers, int kOwnSlots, int kSlots>
-__device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addresses, int view, int slices,
-                             unsigned lone, unsigned unseen) {
+__device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addresses, int view, int apart,
+                             int slices, unsigned lone, unsigned unseen) {
   const int x = blockIdx.x * kColumns + threadIdx.x, y = blockIdx.y * kRows + threadIdx.y;
   const int slice = blockIdx.z & (slices - 1), pixel = y * c.width + x, plane = c.height * c.width;
   if (x >= c.width || y >= c.height) return;
@@ -232,9 +236,9 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
         if (sees)
           cost = own_cost<kOthers, kOwnSlots>(c, own, shifts, x, y);
         else if constexpr (kOthers < 6)
-          cost = others_cost<kOthers, kSlots>(c, shifts, x, y, any);
+          cost = others_cost<kOthers, kSlots>(c, shifts, x, y, apart, any);
         else
-          cost = others_cost_of_many<kSlots>(c, view, shifts, x, y, any);
+          cost = others_cost_of_many<kSlots>(c, shifts, x, y, apart, any);
         if (cost == kNoPair) cost = any ? lone : unseen;
         word = __funnelshift_r(word, cost, 8);
       }
@@ -248,12 +252,13 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
 
 // What the entry points below take. samples, valid: as census leaves them, of `cameras`; addresses [n, 3] of
 // each view's active uint64 [H, W], start int32 [H W + 1] and costs uint8 [chunks, 16], which are written;
-// which int32 [n]: the view's camera; shifts [n, candidates, cameras]; centres float [n, 2]; census_scale
+// which int32 [n]: the view's camera; aparts int32 [n]; shifts [n, candidates, cameras]; centres float [n, 2]; census_scale
 // uint8 [32]. Blocks 32 x 8: tiles; z = n slices + slice, slices 1, 2 or 4: chunks slice, slice + slices, ...
 // of every pixel of view n.
 #define SEEPAST_MATCHED                                                                                      \
   const uint2 *__restrict__ samples, const uint32_t *__restrict__ valid, int cameras, int height, int width, \
       const uint64_t *__restrict__ addresses, const int32_t *__restrict__ which,                             \
+      const int32_t *__restrict__ aparts,                                                                    \
       const float *__restrict__ centres, const float *__restrict__ shifts, int candidates, int slices,       \
       const uint8_t *__restrict__ census_scale, int few, int colour_cap, int lone, int unseen
 #define SEEPAST_MATCH(others, own_slots, slots)                                                           \
@@ -269,7 +274,7 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
                   centres[2 * n + 1],                                                                     \
                   static_cast<unsigned>(few),                                                             \
                   static_cast<unsigned>(colour_cap)};                                                     \
-  match<others, own_slots, slots>(c, addresses + 3 * n, which[n], slices, lone, unseen)
+  match<others, own_slots, slots>(c, addresses + 3 * n, which[n], aparts[n], slices, lone, unseen)
 
 // For arrays of up to 5 cameras: 4 pairs with the view's own ray, 6 without it.
 extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_5(SEEPAST_MATCHED) {
@@ -279,7 +284,7 @@ extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_5(SEEPAST_MATCH
 extern "C" __global__ void __launch_bounds__(kThreads, 3) volume_6(SEEPAST_MATCHED) {
   SEEPAST_MATCH(5, 3, 5);
 }
-// Of 7 to 9: 8 and 13, which are never more than two cameras apart.
+// Of 7 to 9: 8 and 13, which are never more than two places apart.
 extern "C" __global__ void __launch_bounds__(kThreads, 4) volume_9(SEEPAST_MATCHED) {
   SEEPAST_MATCH(8, 4, 7);
 }
