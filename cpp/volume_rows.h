@@ -32,6 +32,9 @@ SEEPAST_INLINE Lanes lesser(Lanes a, Lanes b) { return (Lanes)_mm512_min_epu8((_
 SEEPAST_INLINE Lanes greater(Lanes a, Lanes b) { return (Lanes)_mm512_max_epu8((__m512i)a, (__m512i)b); }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (Lanes)_mm512_avg_epu8((__m512i)a, (__m512i)b); }
 SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (Lanes)_mm512_adds_epu8((__m512i)a, (__m512i)b); }
+SEEPAST_INLINE bool any_of(Lanes v, uint8_t value) {
+  return _mm512_cmpeq_epi8_mask((__m512i)v, (__m512i)all(value)) != 0;
+}
 SEEPAST_INLINE Wide third(Wide sum) {
   return (Wide)_mm512_mulhi_epu16((__m512i)sum, _mm512_set1_epi16(21846));
 }
@@ -51,6 +54,9 @@ SEEPAST_INLINE Lanes lesser(Lanes a, Lanes b) { return (Lanes)_mm256_min_epu8((_
 SEEPAST_INLINE Lanes greater(Lanes a, Lanes b) { return (Lanes)_mm256_max_epu8((__m256i)a, (__m256i)b); }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (Lanes)_mm256_avg_epu8((__m256i)a, (__m256i)b); }
 SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (Lanes)_mm256_adds_epu8((__m256i)a, (__m256i)b); }
+SEEPAST_INLINE bool any_of(Lanes v, uint8_t value) {
+  return _mm256_movemask_epi8((__m256i)(v == all(value))) != 0;
+}
 SEEPAST_INLINE Wide third(Wide sum) {
   return (Wide)_mm256_mulhi_epu16((__m256i)sum, _mm256_set1_epi16(21846));
 }
@@ -82,6 +88,7 @@ SEEPAST_INLINE Lanes halved(Lanes v) {
 }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (a | b) - halved(a ^ b); }
 SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (a + b) | reinterpret_cast<Lanes>(a + b < a); }  // 255 at most
+SEEPAST_INLINE bool any_of(Lanes v, uint8_t value) { return std::memchr(&v, value, sizeof(v)) != nullptr; }
 SEEPAST_INLINE Wide third(Wide sum) {
   Wide out;
   for (int x = 0; x < kLanes / 2; ++x)
@@ -522,7 +529,7 @@ struct RowMatcher {
       const Lanes without = smaller_half(others, x, i, v.view.others.count);
       cost = mine ? choose(holds(load(own_planes[plane_static(0)] + x)), cost, without) : without;
     }
-    if (sure) return cost;
+    if (sure || !any_of(cost, kNoPair)) return cost;
     Lanes any{};
     for (int k = 0; k < v.array().cameras; ++k) any |= places(k, x).at(i).is_static();
     const Lanes without = choose(holds(any), all(v.params.lone), all(v.params.unseen));

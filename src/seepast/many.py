@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -74,6 +75,7 @@ class PairCosts:
         return min(apart, 2) if cameras > 6 else apart
 
     @staticmethod
+    @lru_cache(maxsize=64)  # made for every frame anew it takes longer than some stages
     def of(options: MultiviewOptions, wanted: int = -1) -> PairCosts:
         n = np.arange(32)
         scale = np.where(n < FEW, 0, np.round(8 * 4 * len(REACH) / np.maximum(n, FEW))).astype(np.uint8)
@@ -92,6 +94,7 @@ class Penalties:
     dynamic: int
 
     @staticmethod
+    @lru_cache(maxsize=64)
     def of(small: int, large: float, least: float, dynamic: int) -> Penalties:
         """P2 = max(least, large / (1 + g / 10)), g the mean step of the channels; never below P1."""
         table = np.maximum(least, large / (1 + np.arange(766) / 30))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -399,6 +400,7 @@ def picture(
     return background
 
 
+@lru_cache(maxsize=64)
 def camera_weights(geometry: ArrayGeometry, o: MultiviewOptions) -> np.ndarray:
     """float32 [K]: 1 / k^camera_falloff, k the distance of camera k in units of the nearest one's."""
     distance = np.linalg.norm(geometry.positions, axis=1)
