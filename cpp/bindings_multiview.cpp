@@ -104,10 +104,20 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "landings",
-      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> low,
-         In<float, 2> high, Out<uint8_t, 3> out) {
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<float, 2> low, In<float, 2> high,
+         Out<uint8_t, 3> out) {
         landings(array_of(offsets, cx, cy, low.shape(0), low.shape(1)), hidden.data(), low.data(),
                  high.data(), out.data());
+      },
+      free_lock);
+
+  m.def(
+      "witnessed",
+      [](In<float, 2> offsets, float cx, float cy, int reference, In<uint8_t, 2> hidden,
+         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<int32_t, 1> order, int most, int tolerance,
+         Out<uint8_t, 3> out) {
+        witnessed(array_of(offsets, cx, cy, hidden.shape(0), hidden.shape(1)), reference, hidden.data(),
+                  disparities.data(), is_static.data(), order.data(), most, tolerance, out.data());
       },
       free_lock);
 

@@ -95,8 +95,8 @@ struct Sums {
   std::vector<float> weights, heaviest;
 };
 
-// The next of a row's wanted pixels, from `next` on, that have a ray of camera k which counts. Returns where to
-// go on.
+// The next of a row's wanted pixels, from `next` on, that have a ray of camera k which counts. Returns where
+// to go on.
 int gather(const uint16_t* rays, const uint16_t* d, int k, const RayWeights& weights, int next, int count,
            const Sums& sums, Batch& batch) {
   int n = 0;
@@ -134,8 +134,7 @@ void put_means(const Sums& sums, int count, uint8_t* row) {
     const float weight = sums.weights[n];
     for (int c = 0; c < 3; ++c) {
       const float value = std::floor(sums.total[n][c] / (weight > 0 ? weight : 1.0f) + 0.5f);
-      row[3 * sums.x[n] + c] =
-          static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
+      row[3 * sums.x[n] + c] = static_cast<uint8_t>(value < 0.0f ? 0.0f : (value > 255.0f ? 255.0f : value));
     }
   }
 }

@@ -47,9 +47,14 @@ void half_rows(int views, int height, int width, const uint8_t* colour, const ui
 // Every row twice, the last one to the end: [count, rows, width] -> [count, height, width].
 void double_rows(const uint16_t* views, int count, int rows, int width, int height, uint16_t* out);
 
-// Where the rays of the reference's pixels `hidden` uint8 [H, W] end at disparities from low to high, px [H, W], to the nearest
-// pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
+// Where the rays of the reference's pixels `hidden` uint8 [H, W] end at disparities from low to high, px [H,
+// W], to the nearest pixel (host.landings): out uint8 [K, H, W], zeroed by the caller.
 void landings(const Array& array, const uint8_t* hidden, const float* low, const float* high, uint8_t* out);
+
+// Where they end in the views that are asked of them (host.witnessed), at their own disparities: uint16,
+// is_static uint8, out uint8 [K, H, W], zeroed by the caller; order int32 [K].
+void witnessed(const Array& array, int reference, const uint8_t* hidden, const uint16_t* disparities,
+               const uint8_t* is_static, const int32_t* order, int most, int tolerance, uint8_t* out);
 
 struct PairCostParams {
   const uint8_t* census_scale;  // [32] in 8ths, by valid neighbours; 0 below kFew

@@ -17,9 +17,9 @@ constexpr int kSteps = 32;         // of a fraction
 constexpr size_t kPart = 1 << 13;  // pixels that a thread takes at once
 constexpr int kAlone = 8;          // parts: so few are left to the calling thread, which is one of several
 
-// Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist, in columns
-// left .. and rows top .. of the source; `right` and `lower` say by how many 32nds the place is nearer to the
-// others, times a factor.
+// Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist, in
+// columns left .. and rows top .. of the source; `right` and `lower` say by how many 32nds the place is
+// nearer to the others, times a factor.
 struct Places {
   int32_t at[kBlock];
   uint32_t right[kBlock], lower[kBlock];
@@ -189,8 +189,8 @@ void sample_colours(const Part& part) {
 #if !defined(SEEPAST_LEVEL)  // else it is that already, or more
 #pragma GCC target("arch=x86-64-v3")
 #endif
-// Weights of two neighbours, for every number of 32nds: of bytes, one above the other; and of the 16 bits that
-// become of them, times 64, so that the sum's upper half is the sample.
+// Weights of two neighbours, for every number of 32nds: of bytes, one above the other; and of the 16 bits
+// that become of them, times 64, so that the sum's upper half is the sample.
 struct Weights {
   constexpr Weights() {
     for (int i = 0; i <= kSteps; ++i)
@@ -208,8 +208,8 @@ constexpr int kReadBehind = 6;  // more pixels than it needs are read of the low
 
 // BGR and the mask of a pixel: each in the upper half of 32 bits.
 template <bool kMasked>
-[[gnu::always_inline]] inline __m128i sample_of(
-    const uint8_t* image, const uint8_t* mask, int width, const Places& places, int i) {
+[[gnu::always_inline]] inline __m128i sample_of(const uint8_t* image, const uint8_t* mask, int width,
+                                                const Places& places, int i) {
   const ptrdiff_t at = places.at[i];
   const uint8_t* const first = image + 3 * at;
   __m128i upper = _mm_loadl_epi64(reinterpret_cast<const __m128i*>(first));
@@ -230,15 +230,15 @@ template <bool kMasked>
 
 // Four pixels from i on, at `pixels`, and their mask at `fours`.
 template <bool kMasked>
-[[gnu::always_inline]] inline void sample_four(
-    const uint8_t* image, const uint8_t* mask, int width, const Places& places, int i, uint8_t* pixels,
-    uint8_t* fours) {
+[[gnu::always_inline]] inline void sample_four(const uint8_t* image, const uint8_t* mask, int width,
+                                               const Places& places, int i, uint8_t* pixels, uint8_t* fours) {
   const auto two = [&](int j) {
     const __m128i first = sample_of<kMasked>(image, mask, width, places, j),
                   second = sample_of<kMasked>(image, mask, width, places, j + 1);
     return _mm_blend_epi16(_mm_srli_epi32(first, 16), second, 0xaa);
   };
-  __builtin_prefetch(image + 3 * static_cast<ptrdiff_t>(places.at[i] + 2 * width));  // what the next row needs
+  __builtin_prefetch(image +
+                     3 * static_cast<ptrdiff_t>(places.at[i] + 2 * width));  // what the next row needs
   const __m128i four = _mm_packus_epi16(two(i), two(i + 2));
   const __m128i colours = _mm_setr_epi8(0, 2, 4, 1, 3, 5, 8, 10, 12, 9, 11, 13, -1, -1, -1, -1),
                 masks = _mm_setr_epi8(6, 7, 14, 15, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1);
@@ -255,16 +255,19 @@ void sample_colours_by_four(const Part& part) {
     const int n = static_cast<int>(std::min<size_t>(kBlock, count - from));
     find_places<kEntry>(whole + 2 * from, fraction + from, n, height, width, places);
     if (places.last_top == height - 2 && places.last_left + kReadBehind >= width) {
-      sample_colours({image, mask, height, width, whole + 2 * from, fraction + from, no_ray ? no_ray + from : nullptr,
-                      static_cast<size_t>(n), out + 3 * from, mask ? mask_out + from : nullptr});
+      sample_colours({image, mask, height, width, whole + 2 * from, fraction + from,
+                      no_ray ? no_ray + from : nullptr, static_cast<size_t>(n), out + 3 * from,
+                      mask ? mask_out + from : nullptr});
       continue;
     }
     for (int i = n; i % 4; ++i) places.at[i] = places.at[0], places.right[i] = places.lower[i] = 0;
     const bool masked = mask && !is_empty(mask, width, places);
     if (masked)
-      for (int i = 0; i < n; i += 4) sample_four<true>(image, mask, width, places, i, pixels + 3 * i, fours + i);
+      for (int i = 0; i < n; i += 4)
+        sample_four<true>(image, mask, width, places, i, pixels + 3 * i, fours + i);
     else
-      for (int i = 0; i < n; i += 4) sample_four<false>(image, mask, width, places, i, pixels + 3 * i, nullptr);
+      for (int i = 0; i < n; i += 4)
+        sample_four<false>(image, mask, width, places, i, pixels + 3 * i, nullptr);
     std::memcpy(out + 3 * from, pixels, 3 * static_cast<size_t>(n));
     if (masked)
       std::memcpy(mask_out + from, fours, static_cast<size_t>(n));
@@ -285,8 +288,15 @@ void sample_colour(const uint8_t* image, const uint8_t* mask, int height, int wi
 #pragma omp parallel for schedule(dynamic, 1) if (parts > kAlone)
   for (int i = 0; i < parts; ++i) {
     const size_t from = i * kPart;
-    const Part part{image, mask, height, width, whole + 2 * from, fraction + from,
-                    no_ray ? no_ray + from : nullptr, std::min(kPart, count - from), out + 3 * from,
+    const Part part{image,
+                    mask,
+                    height,
+                    width,
+                    whole + 2 * from,
+                    fraction + from,
+                    no_ray ? no_ray + from : nullptr,
+                    std::min(kPart, count - from),
+                    out + 3 * from,
                     mask ? mask_out + from : nullptr};
 #if defined(SEEPAST_V3) || defined(SEEPAST_V4)
     if (simd() >= Simd::avx2) {

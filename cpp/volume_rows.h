@@ -63,7 +63,8 @@ SEEPAST_INLINE Wide third(Wide sum) {
 SEEPAST_INLINE Lanes permuted(__m128i table, Lanes i) {
   return (Lanes)_mm256_shuffle_epi8(_mm256_broadcastsi128_si256(table), (__m256i)i);
 }
-SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {  // of every three bits one counts once and one twice
+SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b,
+                             Lanes c) {  // of every three bits one counts once and one twice
   const __m128i once = _mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4),
                 twice = _mm_setr_epi8(0, 2, 2, 4, 2, 4, 4, 6, 2, 4, 4, 6, 4, 6, 6, 8);
   const auto count = [](__m128i table, Lanes v) {
@@ -74,7 +75,8 @@ SEEPAST_INLINE Lanes bits_of(Lanes a, Lanes b, Lanes c) {  // of every three bit
 }
 // What is 0 below kFew, and what is 0 from there on.
 SEEPAST_INLINE Lanes enough(const uint8_t* scale, Lanes known) {
-  return permuted(_mm_loadu_si128((const __m128i*)(scale + kFew + 1)), known - (kFew + 1)) |  // 0 for what is negative
+  return permuted(_mm_loadu_si128((const __m128i*)(scale + kFew + 1)),
+                  known - (kFew + 1)) |  // 0 for what is negative
          ((Lanes)(known == kFew) & all(scale[kFew]));
 }
 SEEPAST_INLINE Lanes too_few(const uint8_t* few, Lanes known) {
@@ -87,7 +89,9 @@ SEEPAST_INLINE Lanes halved(Lanes v) {
   return reinterpret_cast<Lanes>(reinterpret_cast<Wide>(v) >> 1) & 0x7f;
 }
 SEEPAST_INLINE Lanes mean(Lanes a, Lanes b) { return (a | b) - halved(a ^ b); }
-SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) { return (a + b) | reinterpret_cast<Lanes>(a + b < a); }  // 255 at most
+SEEPAST_INLINE Lanes plus(Lanes a, Lanes b) {
+  return (a + b) | reinterpret_cast<Lanes>(a + b < a);
+}  // 255 at most
 SEEPAST_INLINE bool any_of(Lanes v, uint8_t value) { return std::memchr(&v, value, sizeof(v)) != nullptr; }
 SEEPAST_INLINE Wide third(Wide sum) {
   Wide out;
@@ -127,8 +131,8 @@ constexpr int kRowsAtOnce = 1;
 static_assert(kColumns % kLanes == 0);
 #endif
 
-// Where as much of a tile of one camera is read as there are lanes: plane p of row j at [j] + p stride, planes as
-// those of a phase.
+// Where as much of a tile of one camera is read as there are lanes: plane p of row j at [j] + p stride,
+// planes as those of a phase.
 struct Tile {
   SEEPAST_INLINE Lanes plane(int p) const {
 #if defined(SEEPAST_BYTES_AVX512)
@@ -186,8 +190,8 @@ SEEPAST_INLINE Lanes eighths(Lanes a, Lanes b) {
 #endif
 }
 
-// reference_multiview.pair_cost. A copy of what it takes: behind a pointer the compiler would read it again for
-// every pair, since costs might be written over it.
+// reference_multiview.pair_cost. A copy of what it takes: behind a pointer the compiler would read it again
+// for every pair, since costs might be written over it.
 struct PairCost {
   // Where every neighbour of both rays is static ...
   template <class A>
@@ -228,8 +232,7 @@ struct RowMatcher {
     uint32_t again = 0;  // if these runs were matched: a bit each
   };
 
-  RowMatcher(const Volume& volume, const Rows& rows)
-      : v(volume), rows(rows) {
+  RowMatcher(const Volume& volume, const Rows& rows) : v(volume), rows(rows) {
     few[0] = kNoPair;
     for (int known = 1; known < kFew; ++known) few[known] = volume.params.few;
     for (auto& of_row : drops) of_row.resize(volume.columns.shifts());
@@ -325,7 +328,8 @@ struct RowMatcher {
       unclear |= bits_from(row + bits_unclear(stride), column % 8);
       seen |= static_cast<uint64_t>(bits_from(row + bits_seen(stride), column % 8)) << j * kColumns;
     }
-    for (int j = 0; j < kTileRows; ++j) std::fill_n(tiles[v.view.number][j], kRuns, own_planes[0] + j * kColumns);
+    for (int j = 0; j < kTileRows; ++j)
+      std::fill_n(tiles[v.view.number][j], kRuns, own_planes[0] + j * kColumns);
     moved[v.view.number] = 1;
     clear[v.view.number] = unclear ? 0 : ~0u;
     blind[v.view.number] = seen ? 0 : ~0u;

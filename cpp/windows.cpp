@@ -193,4 +193,32 @@ void landings(const Array& array, const uint8_t* hidden, const float* low, const
   }
 }
 
+void witnessed(const Array& array, int reference, const uint8_t* hidden, const uint16_t* disparities,
+               const uint8_t* is_static, const int32_t* order, int most, int tolerance, uint8_t* out) {
+  const float cx = array.cx, cy = array.cy;
+  const size_t pixels = array.pixels();
+  const auto within = [](float at, int count) { return at >= 0 && at < static_cast<float>(count); };
+#pragma omp parallel for schedule(static)
+  for (int y = 0; y < array.height; ++y)
+    for (int x = 0; x < array.width; ++x) {
+      const size_t at = static_cast<size_t>(y) * array.width + x;
+      if (!hidden[at]) continue;
+      const int units = disparities[reference * pixels + at];
+      const float d = static_cast<float>(units) / static_cast<float>(kUnits);
+      out[order[0] * pixels + at] = 1;
+      for (int i = 1, seen = 0; i < array.cameras && seen < most; ++i) {
+        const float* offset = array.offsets + kOffsets * order[i];
+        const float scale = 1.0f / (1.0f - d * offset[2]);
+        const float u = std::nearbyint(cx + (static_cast<float>(x) - cx - d * offset[0]) * scale + offset[3]),
+                    v = std::nearbyint(cy + (static_cast<float>(y) - cy - d * offset[1]) * scale + offset[4]);
+        if (!within(u, array.width) || !within(v, array.height)) continue;
+        const size_t there =
+            order[i] * pixels + static_cast<size_t>(v) * array.width + static_cast<size_t>(u);
+#pragma omp atomic write
+        out[there] = 1;
+        seen += is_static[there] && std::abs(disparities[there] - units) <= tolerance;
+      }
+    }
+}
+
 }  // namespace seepast

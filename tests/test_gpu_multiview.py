@@ -178,6 +178,15 @@ def test_landings_and_beside(name):
 
 
 @every_scene
+def test_witnessed(name):
+    c, k = case(name), case(name).geometry.reference
+    order = multiview.nearest_first(c.geometry)
+    for most, tolerance in ((15, UNITS), (2, UNITS), (1, 20 * UNITS)):
+        given = ~c.static[k], c.disparities, c.static, c.geometry, order, most, tolerance
+        assert_same(host.witnessed(*given), levels.witnessed(*given))
+
+
+@every_scene
 def test_clear_of_masks(name):
     static = case(name).static
     assert_same(host.clear_of_masks(static), levels.clear_of_masks(static))

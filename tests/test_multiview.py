@@ -244,6 +244,39 @@ def test_landings(name):
 
 
 @every_scene
+def test_witnessed(name):
+    c = case(name)
+    for k in c.some_views:
+        order = multiview.nearest_first(c.views[k])
+        for most, tolerance in ((15, UNITS), (2, UNITS), (1, 20 * UNITS)):
+            given = ~c.static[k], c.disparities, c.static, c.views[k], order, most, tolerance
+            assert_same(*(b.witnessed(*given) for b in (reference, cpu)))
+
+
+def test_no_more_views_are_asked_than_are_needed():
+    scene = make_scene(5, (100, 40))
+    geometry, shape = scene.geometry, (5, 40, 100)
+    hidden = np.zeros(shape[1:], bool)
+    hidden[20, 60] = True
+    d = np.full(shape, 8 * UNITS, np.uint16)
+    order = multiview.nearest_first(geometry)
+    assert list(order) == [0, 1, 2, 3, 4]
+
+    def asked(d: np.ndarray, static: np.ndarray, most: int) -> list[int]:
+        return [
+            k for k, view in enumerate(cpu.witnessed(hidden, d, static, geometry, order, most, UNITS)) if view.any()
+        ]
+
+    everywhere = np.ones(shape, bool)
+    assert asked(d, everywhere, 2) == [0, 1, 2]
+    assert asked(d, everywhere, 15) == [0, 1, 2, 3, 4]
+    blind, other = everywhere.copy(), d.copy()
+    blind[1] = False
+    other[1] += 2 * UNITS
+    assert asked(d, blind, 2) == asked(other, everywhere, 2) == [0, 1, 2, 3]
+
+
+@every_scene
 @pytest.mark.parametrize("kind", KINDS)
 def test_volume(name, kind):
     c = case(name)

@@ -157,6 +157,9 @@ class MultiviewOptions(StageOptions):
         "on finer levels the other views are matched everywhere; else only around what people hide",
     )
     around: int = option(16, "px", 0, 256, "and that far beside it; so it is where other views are heard a second time")
+    witnesses: int = option(
+        15, "views", 1, 15, "so many of those that see what people hide, the nearest, are asked of it on finer levels"
+    )
     paths: int = option(4, "", 4, 8, "of semi-global matching: 8, or 4 without diagonals")
     apart: int = option(
         15,
@@ -285,6 +288,7 @@ PRESETS: dict[str, Options] = {
             spread=2,
             fine_views=False,
             around=4,
+            witnesses=2,
             apart=1,
             planes=False,
         ),

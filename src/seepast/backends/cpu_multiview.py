@@ -52,6 +52,7 @@ __all__ = [
     "votes_of_views",
     "windows",
     "windows_of_views",
+    "witnessed",
     "witnesses",
 ]
 
@@ -148,6 +149,23 @@ def windows_of_views(
 def landings(hidden: np.ndarray, low: np.ndarray, high: np.ndarray, geometry: ArrayGeometry) -> np.ndarray:
     out = workspace.zeros((geometry.cameras, *hidden.shape), bool)
     _core.landings(geometry.offsets, *geometry.center, _bytes(hidden), low, high, _bytes(out))
+    return out
+
+
+def witnessed(
+    hidden: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    order: np.ndarray,
+    most: int,
+    tolerance: int,
+) -> np.ndarray:
+    out = workspace.zeros(static.shape, bool)
+    _core.witnessed(
+        geometry.offsets, *geometry.center, geometry.reference, _bytes(hidden), disparities, _bytes(static), order,
+        most, tolerance, _bytes(out),
+    )  # fmt: skip
     return out
 
 

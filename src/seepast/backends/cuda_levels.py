@@ -27,6 +27,7 @@ __all__ = [
     "inner_span",
     "landings",
     "three_channels",
+    "witnessed",
 ]
 
 BINS = 1 << 16
@@ -83,6 +84,15 @@ def landings(hidden, low, high, geometry: ArrayGeometry):
     launch_tiles(
         "level", "landings", (1, *hidden.shape), *view_table(geometry), hidden, low, high,
         *int32(geometry.cameras, *hidden.shape), out,
+    )  # fmt: skip
+    return out
+
+
+def witnessed(hidden, disparities, static, geometry: ArrayGeometry, order: np.ndarray, most: int, tolerance: int):
+    out = device.current().xp.zeros(static.shape, bool)
+    launch_tiles(
+        "level", "witnessed", (1, *hidden.shape), *view_table(geometry), hidden, disparities, static, constant(order),
+        *int32(most, tolerance, geometry.cameras, geometry.reference, *hidden.shape), out,
     )  # fmt: skip
     return out
 

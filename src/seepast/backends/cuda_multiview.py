@@ -13,6 +13,7 @@ from .cuda_levels import (
     inner_span,
     landings,
     three_channels,
+    witnessed,
 )
 from .cuda_matching import (
     aggregate,
@@ -55,5 +56,6 @@ __all__ = [
     "votes_of_views",
     "windows",
     "windows_of_views",
+    "witnessed",
     "witnesses",
 ]

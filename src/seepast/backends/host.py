@@ -37,6 +37,7 @@ __all__ = [
     "rectified_frame",
     "three_channels",
     "told",
+    "witnessed",
 ]
 T = TypeVar("T")
 QUEUES = False  # what stages are asked for is done when they return
@@ -159,6 +160,36 @@ def landings(hidden: np.ndarray, low: np.ndarray, high: np.ndarray, geometry: Ar
             for i in range(1 + (right - left).max(initial=-1)):
                 there = (left + i <= right) & (top + j <= bottom)
                 out[k, (top + j)[there], (left + i)[there]] = True
+    return out
+
+
+def witnessed(
+    hidden: np.ndarray,
+    disparities: np.ndarray,
+    static: np.ndarray,
+    geometry: ArrayGeometry,
+    order: np.ndarray,
+    most: int,
+    tolerance: int,
+) -> np.ndarray:
+    """Where rays of the reference's pixels `hidden` bool [h, w] end, at its own disparity, in views that are asked of
+    what is there: bool [K, h, w].
+
+    Views are asked in their `order` int32 [K], of which the reference is the first, until `most` of the others have
+    seen it: their pixel there is static and differs by no more than `tolerance` from the disparity.
+    disparities uint16 [K, h, w] in 32nds of a pixel, static bool [K, h, w].
+    """
+    height, width = hidden.shape
+    out = np.zeros_like(static)
+    out[order[0]] = hidden
+    y, x = np.nonzero(hidden)
+    d, seen = disparities[geometry.reference][y, x], np.zeros(len(x), np.int32)
+    for k in order[1:]:
+        u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d.astype(np.float32) / np.float32(UNITS)))
+        there = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (seen < most)
+        at = k, v[there], u[there]
+        out[at] = True
+        seen[there] += static[at] & (np.abs(disparities[at].astype(np.int32) - d[there]) <= tolerance)
     return out
 
 

@@ -50,6 +50,7 @@ from .host import (
     landings,
     three_channels,
     told,
+    witnessed,
 )
 from .one_by_one import OneByOne
 from .reference import fill_unseen, half_positions, ray_offsets
@@ -84,6 +85,7 @@ __all__ = [
     "votes_of_views",
     "windows",
     "windows_of_views",
+    "witnessed",
     "witnesses",
 ]
 

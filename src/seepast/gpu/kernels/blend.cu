@@ -37,14 +37,14 @@ __device__ void add_bicubic(const uint8_t* __restrict__ image, int height, int w
 }  // namespace
 
 // Of one view: offsets [K, 5]; colour uint8 [K, H, W, 3]; rays, d uint16, wanted uint8 [H, W]; clear uint8
-// [K, H, W]: where 0, pixels weigh `edge`; near [K]; order int32 [K]: the greatest first; rays of cameras that
-// weigh less than `light` of the heaviest so far are left out. background uint8 [H, W, 3].
+// [K, H, W]: where 0, pixels weigh `edge`; near [K]; order int32 [K]: the greatest first; rays of cameras
+// that weigh less than `light` of the heaviest so far are left out. background uint8 [H, W, 3].
 extern "C" __global__ void __launch_bounds__(256)
     blend(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ colour,
           const uint16_t* __restrict__ rays, const uint8_t* __restrict__ clear,
           const float* __restrict__ near, const int32_t* __restrict__ order, float light, float edge,
-          const uint16_t* __restrict__ d, const uint8_t* __restrict__ wanted, int cameras, int reference, int height, int width,
-          uint8_t* __restrict__ background) {
+          const uint16_t* __restrict__ d, const uint8_t* __restrict__ wanted, int cameras, int reference,
+          int height, int width, uint8_t* __restrict__ background) {
   const int x = blockIdx.x * 32 + threadIdx.x, y = blockIdx.y * 8 + threadIdx.y;
   if (x >= width || y >= height) return;
   const size_t pixels = static_cast<size_t>(height) * width, at = static_cast<size_t>(y) * width + x;

@@ -82,13 +82,13 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   enlarge(in, height, width, ratio, factor, out_height, out_width, out);
 }
 
-// Sets in out uint8 [K, H, W], zero before, where the rays of the pixels `hidden` end at disparities from low to
-// high, px: the columns and rows between both ends. offsets [K, 5]. Rounded as ArrayGeometry.warp and numpy.rint
-// do.
+// Sets in out uint8 [K, H, W], zero before, where the rays of the pixels `hidden` end at disparities from low
+// to high, px: the columns and rows between both ends. offsets [K, 5]. Rounded as ArrayGeometry.warp and
+// numpy.rint do.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     landings(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ hidden,
-             const float* __restrict__ low, const float* __restrict__ high, int cameras, int height, int width,
-             uint8_t* __restrict__ out) {
+             const float* __restrict__ low, const float* __restrict__ high, int cameras, int height,
+             int width, uint8_t* __restrict__ out) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
   if (x >= width || y >= height || !hidden[y * width + x]) return;
   const float d[2] = {low[y * width + x], high[y * width + x]};
@@ -107,6 +107,32 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
               bottom = static_cast<int>(fminf(rintf(fmaxf(v[0], v[1])), static_cast<float>(height - 1)));
     for (int row = top; row <= bottom; ++row)
       for (int column = left; column <= right; ++column) out[index(k, height, width, row, column)] = 1;
+  }
+}
+
+// Sets in out uint8 [K, H, W], zero before, where rays of the pixels `hidden` end in the views that are asked
+// of them (host.witnessed). disparities uint16, is_static uint8 [K, H, W]; order int32 [K].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    witnessed(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ hidden,
+              const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
+              const int32_t* __restrict__ order, int most, int tolerance, int cameras, int reference,
+              int height, int width, uint8_t* __restrict__ out) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
+  if (x >= width || y >= height || !hidden[y * width + x]) return;
+  const int units = disparities[index(reference, height, width, y, x)];
+  const float d = static_cast<float>(units) / 32.0f;
+  out[index(order[0], height, width, y, x)] = 1;
+  for (int i = 1, seen = 0; i < cameras && seen < most; ++i) {
+    const float* o = offsets + kOffsets * order[i];
+    const float scale = 1.0f / (1.0f - d * o[2]);
+    const float u = rintf(cx + (static_cast<float>(x) - cx - d * o[0]) * scale + o[3]);
+    const float v = rintf(cy + (static_cast<float>(y) - cy - d * o[1]) * scale + o[4]);
+    if (!(u >= 0.0f && u < static_cast<float>(width) && v >= 0.0f && v < static_cast<float>(height)))
+      continue;
+    const size_t at = index(order[i], height, width, static_cast<int>(v), static_cast<int>(u));
+    out[at] = 1;
+    const int apart = static_cast<int>(disparities[at]) - units;
+    seen += is_static[at] && apart <= tolerance && -apart <= tolerance;
   }
 }
 

@@ -80,8 +80,8 @@ __device__ inline unsigned colour_cost(const Cameras& c, const Ray& a, const Ray
   return min(step, c.colour_cap);
 }
 
-// 96 hamming / n of rays that are static but have neighbours that are not; kNoPair where no neighbour is static
-// in both.
+// 96 hamming / n of rays that are static but have neighbours that are not; kNoPair where no neighbour is
+// static in both.
 __device__ inline unsigned unclear_census(const Cameras& c, const Ray& a, const Ray& b) {
   const unsigned known = c.valid[a.index] & c.valid[b.index], scale = c.census_scale[__popc(known)];
   return scale ? (__popc((a.census ^ b.census) & known) * scale + 4) >> 3 : known ? c.few : kNoPair;
@@ -192,8 +192,8 @@ __device__ inline unsigned others_cost(const Cameras& c, const Shift* __restrict
 
 // ... which are at most two where there are more than six cameras.
 template <int kSlots>
-__device__ inline unsigned others_cost_of_many(const Cameras& c, const Shift* __restrict__ shifts,
-                                               int x, int y, int apart, bool& any) {
+__device__ inline unsigned others_cost_of_many(const Cameras& c, const Shift* __restrict__ shifts, int x,
+                                               int y, int apart, bool& any) {
   SmallerHalf<kSlots> costs;
   costs.clear();
   Ray before[2] = {{0, 0, 0}, {0, 0, 0}};
@@ -252,14 +252,14 @@ __device__ inline void match(const Cameras& c, const uint64_t* __restrict__ addr
 
 // What the entry points below take. samples, valid: as census leaves them, of `cameras`; addresses [n, 3] of
 // each view's active uint64 [H, W], start int32 [H W + 1] and costs uint8 [chunks, 16], which are written;
-// which int32 [n]: the view's camera; aparts int32 [n]; shifts [n, candidates, cameras]; centres float [n, 2]; census_scale
-// uint8 [32]. Blocks 32 x 8: tiles; z = n slices + slice, slices 1, 2 or 4: chunks slice, slice + slices, ...
-// of every pixel of view n.
+// which int32 [n]: the view's camera; aparts int32 [n]; shifts [n, candidates, cameras]; centres float [n,
+// 2]; census_scale uint8 [32]. Blocks 32 x 8: tiles; z = n slices + slice, slices 1, 2 or 4: chunks slice,
+// slice + slices, ... of every pixel of view n.
 #define SEEPAST_MATCHED                                                                                      \
   const uint2 *__restrict__ samples, const uint32_t *__restrict__ valid, int cameras, int height, int width, \
       const uint64_t *__restrict__ addresses, const int32_t *__restrict__ which,                             \
-      const int32_t *__restrict__ aparts,                                                                    \
-      const float *__restrict__ centres, const float *__restrict__ shifts, int candidates, int slices,       \
+      const int32_t *__restrict__ aparts, const float *__restrict__ centres,                                 \
+      const float *__restrict__ shifts, int candidates, int slices,                                          \
       const uint8_t *__restrict__ census_scale, int few, int colour_cap, int lone, int unseen
 #define SEEPAST_MATCH(others, own_slots, slots)                                                           \
   const int n = blockIdx.z / slices;                                                                      \
