@@ -29,6 +29,12 @@ void add_bilinear(const Array& array, const uint8_t* image, int channels, int x,
   }
 }
 
+// Row y becomes that of the columns where it is seen.
+SEEPAST_CLONES
+void note_row(const uint8_t* __restrict seen, int width, int y, int32_t* __restrict row_of) {
+  for (int x = 0; x < width; ++x) row_of[x] = seen[x] ? y : row_of[x];
+}
+
 // The pixels that no camera saw, row by row, and of each the nearest seen pixel to the left, right, above and
 // below: how far it is, 0 = none.
 struct Unseen {
@@ -37,7 +43,7 @@ struct Unseen {
     std::vector<size_t> begin(height + 1, 0);
     for (int y = 0; y < height; ++y) {
       const uint8_t* seen = coverage + static_cast<size_t>(y) * width;
-      for (int x = 0; x < width; ++x) row_of[x] = seen[x] ? y : row_of[x];
+      note_row(seen, width, y, row_of.data());
       for (int x = 0, last = -1; (x = next(seen, x, width)) < width; ++x) {
         if (x && seen[x - 1]) last = x - 1;
         at.push_back(static_cast<size_t>(y) * width + x);
@@ -48,7 +54,7 @@ struct Unseen {
     std::fill(row_of.begin(), row_of.end(), -1);
     for (int y = height - 1; y >= 0; --y) {
       const size_t row = static_cast<size_t>(y) * width;
-      for (int x = 0; x < width; ++x) row_of[x] = coverage[row + x] ? y : row_of[x];
+      note_row(coverage + row, width, y, row_of.data());
       int last = -1;
       for (size_t n = begin[y + 1]; n-- > begin[y];) {
         const int x = static_cast<int>(at[n] - row);

@@ -131,7 +131,7 @@ def trusted(dynamic: np.ndarray, seen: Surfaces, options: PeopleOptions, backend
     there = lattice(seen.rows(dynamic), seen.scale)[:, :height, :width].copy()
     unseen = [k for k in range(len(there)) if k not in seen.cameras]
     if unseen:
-        people = ((there > 127) & (there != NO_RAY)).mean((1, 2)).tolist()
+        people = [float(share) for share in ((there > 127) & (there != NO_RAY)).mean((1, 2))]
         known = [people[k] for k in seen.cameras]
         if not all(min(known) / ALIKE <= people[k] <= max(known) * ALIKE for k in unseen):
             return False

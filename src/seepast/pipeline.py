@@ -166,8 +166,8 @@ class Reconstructor:
     backend       "auto", "cpu", "cuda" or "reference". "auto" is "cuda" where a GPU works, and turns to "cpu", with a
                   warning, when it stops working
     dynamic_only  estimate only pixels that a person hides from the reference. Disparity and depth are then 0
-                  (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster with preset "paper",
-                  whose prior then rests on the support points around those pixels
+                  (unknown) and coverage 1 (the reference's own ray) everywhere else. Faster: what cannot lie behind
+                  a person is not looked at (preset "paper": the prior rests on the support points around those pixels)
     threads       of the cpu backend and of rectification; 0 = all cores. The result does not depend on it
     on_device     results stay in the backend's arrays: on the GPU with "cuda" (CuPy's, for anything that takes DLPack
                   or __cuda_array_interface__; complete, whatever the stream)
