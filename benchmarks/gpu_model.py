@@ -208,10 +208,10 @@ class Counted:
         self.kernels["blend"].add(coverage.size, 21, 1, 1)
         return cpu_multiview.fill_unseen(background, coverage, disparity)
 
-    def witnessed(self, hidden, disparities, static, geometry, order, most, tolerance):
+    def witnessed(self, hidden, disparities, static, geometry, most, tolerance):
         self.kernels["levels"].add(hidden.size, 25, 6, 2)
         self.kernels["levels"].add(np.count_nonzero(hidden), 111 * self.cameras, 0)
-        return cpu_multiview.witnessed(hidden, disparities, static, geometry, order, most, tolerance)
+        return cpu_multiview.witnessed(hidden, disparities, static, geometry, most, tolerance)
 
     def landings(self, hidden, low, high, geometry):
         self.kernels["levels"].add(hidden.size, 25, 6, 2)

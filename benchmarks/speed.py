@@ -61,8 +61,9 @@ def main() -> None:
     report = "\n\n".join([f"On {words}; {arguments.threads or 'all'} threads.", *parts])
     print(f"\n{report}")
     if arguments.write:
-        quick = " QUICK=1" if arguments.quick else ""
-        command = f"`make bench-speed PRESETS={','.join(arguments.presets)}{quick}`"
+        quick = " --quick" if arguments.quick else ""
+        presets = ",".join(arguments.presets)
+        command = f"`python benchmarks/speed.py --presets {presets}{quick} --rounds {arguments.rounds}`"
         replace_section(arguments.write, "speed", f"{command}\n\n{report}")
         print(f"\nwritten: {arguments.write}")
 

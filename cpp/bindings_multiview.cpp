@@ -113,10 +113,9 @@ void bind_multiview(nb::module_& m) {
 
   m.def(
       "witnessed",
-      [](In<float, 2> offsets, float cx, float cy, int reference, In<uint8_t, 2> hidden,
-         In<uint16_t, 3> disparities, In<uint8_t, 3> is_static, In<int32_t, 1> order, int most, int tolerance,
-         Out<uint8_t, 3> out) {
-        witnessed(array_of(offsets, cx, cy, hidden.shape(0), hidden.shape(1)), reference, hidden.data(),
+      [](In<float, 2> offsets, float cx, float cy, In<uint8_t, 2> hidden, In<uint16_t, 3> disparities,
+         In<uint8_t, 3> is_static, In<int32_t, 1> order, int most, int tolerance, Out<uint8_t, 3> out) {
+        witnessed(array_of(offsets, cx, cy, hidden.shape(0), hidden.shape(1)), hidden.data(),
                   disparities.data(), is_static.data(), order.data(), most, tolerance, out.data());
       },
       free_lock);

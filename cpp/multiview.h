@@ -52,8 +52,9 @@ void double_rows(const uint16_t* views, int count, int rows, int width, int heig
 void landings(const Array& array, const uint8_t* hidden, const float* low, const float* high, uint8_t* out);
 
 // Where they end in the views that are asked of them (host.witnessed), at their own disparities: uint16,
-// is_static uint8, out uint8 [K, H, W], zeroed by the caller; order int32 [K].
-void witnessed(const Array& array, int reference, const uint8_t* hidden, const uint16_t* disparities,
+// is_static uint8, out uint8 [K, H, W], zeroed by the caller; order int32 [K]: the reference, then the
+// nearest.
+void witnessed(const Array& array, const uint8_t* hidden, const uint16_t* disparities,
                const uint8_t* is_static, const int32_t* order, int most, int tolerance, uint8_t* out);
 
 struct PairCostParams {
@@ -164,7 +165,7 @@ void clear_of_masks(int views, int height, int width, const uint8_t* is_static, 
 struct RayWeights {
   const uint8_t* clear;  // [K, H, W], 0: such pixels weigh `edge`
   const float* near;     // [K]
-  const int32_t* order;  // [K]: of `near`, the greatest first
+  const int32_t* order;  // [K]: the nearest camera first, and so the greatest of `near`
   float light, edge;     // rays of cameras that weigh less than `light` of the heaviest so far are left out
 };
 void blend(const Array& array, int reference, const uint8_t* colour, const uint16_t* rays,

@@ -15,7 +15,8 @@ namespace {
 constexpr int kBlock = 128;        // pixels: what one step leaves to the next stays in the first-level cache
 constexpr int kSteps = 32;         // of a fraction
 constexpr size_t kPart = 1 << 13;  // pixels that a thread takes at once
-constexpr int kAlone = 8;          // parts: so few are left to the calling thread, which is one of several
+constexpr size_t kMostLookedAt = 32 * kBlock;  // bytes
+constexpr int kAlone = 8;  // parts: so few are left to the calling thread, which is one of several
 
 // Where the pixels of a block are sampled: `at` is the upper left of four source pixels that all exist, in
 // columns left .. and rows top .. of the source; `right` and `lower` say by how many 32nds the place is
@@ -59,15 +60,18 @@ template <uint32_t kFactor>
   places.left = least_x, places.last_left = most_x, places.top = least_y, places.last_top = most_y;
 }
 
-// Whether all that a block is sampled from is 0.
+// Whether all that a block is sampled from is known to be 0: not looked for where that is far apart, as where
+// a block begins in the image and ends beyond its edge.
 inline bool is_empty(const uint8_t* plane, int width, const Places& places) {
-  const size_t columns = static_cast<size_t>(places.last_left + 2 - places.left);
-  uint8_t any = 0;
-  for (int y = places.top; y <= places.last_top + 1; ++y) {
-    const uint8_t* row = plane + static_cast<size_t>(y) * width + places.left;
-    for (size_t x = 0; x < columns; ++x) any |= row[x];
+  const int columns = places.last_left + 2 - places.left, rows = places.last_top + 2 - places.top;
+  if (static_cast<size_t>(columns) * rows > kMostLookedAt) return false;
+  for (int y = 0; y < rows; ++y) {
+    const uint8_t* row = plane + static_cast<size_t>(places.top + y) * width + places.left;
+    uint8_t any = 0;
+    for (int x = 0; x < columns; ++x) any |= row[x];
+    if (any) return false;
   }
-  return !any;
+  return true;
 }
 
 // Bytes from p on as one number; compilers that take the loop around it for a gather make it slower.

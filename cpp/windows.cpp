@@ -193,7 +193,7 @@ void landings(const Array& array, const uint8_t* hidden, const float* low, const
   }
 }
 
-void witnessed(const Array& array, int reference, const uint8_t* hidden, const uint16_t* disparities,
+void witnessed(const Array& array, const uint8_t* hidden, const uint16_t* disparities,
                const uint8_t* is_static, const int32_t* order, int most, int tolerance, uint8_t* out) {
   const float cx = array.cx, cy = array.cy;
   const size_t pixels = array.pixels();
@@ -203,7 +203,7 @@ void witnessed(const Array& array, int reference, const uint8_t* hidden, const u
     for (int x = 0; x < array.width; ++x) {
       const size_t at = static_cast<size_t>(y) * array.width + x;
       if (!hidden[at]) continue;
-      const int units = disparities[reference * pixels + at];
+      const int units = disparities[order[0] * pixels + at];
       const float d = static_cast<float>(units) / static_cast<float>(kUnits);
       out[order[0] * pixels + at] = 1;
       for (int i = 1, seen = 0; i < array.cameras && seen < most; ++i) {

@@ -180,9 +180,8 @@ def test_landings_and_beside(name):
 @every_scene
 def test_witnessed(name):
     c, k = case(name), case(name).geometry.reference
-    order = multiview.nearest_first(c.geometry)
     for most, tolerance in ((15, UNITS), (2, UNITS), (1, 20 * UNITS)):
-        given = ~c.static[k], c.disparities, c.static, c.geometry, order, most, tolerance
+        given = ~c.static[k], c.disparities, c.static, c.geometry, most, tolerance
         assert_same(host.witnessed(*given), levels.witnessed(*given))
 
 

@@ -243,13 +243,23 @@ def test_landings(name):
             assert_same(*(b.landings(~c.static[k], d, high, c.views[k]) for b in (reference, cpu)))
 
 
+def test_nothing_that_is_hidden_is_out_of_reach():
+    scene = make_scene(5, (100, 40))
+    level = pictures_of(scene).level(1, False)
+    hidden, o = ~level.static[0], OPTIONS.multiview
+    reach = multiview.within_reach(level, (4.0, 30.0), o, cpu)
+    assert hidden.any() and not reach.all()
+    for d in (4.0, 11.3, 30.0):
+        at = np.full(hidden.shape, d, np.float32)
+        assert not (cpu.landings(hidden, at, at, level.geometry) & ~reach).any()
+
+
 @every_scene
 def test_witnessed(name):
     c = case(name)
     for k in c.some_views:
-        order = multiview.nearest_first(c.views[k])
         for most, tolerance in ((15, UNITS), (2, UNITS), (1, 20 * UNITS)):
-            given = ~c.static[k], c.disparities, c.static, c.views[k], order, most, tolerance
+            given = ~c.static[k], c.disparities, c.static, c.views[k], most, tolerance
             assert_same(*(b.witnessed(*given) for b in (reference, cpu)))
 
 
@@ -259,13 +269,11 @@ def test_no_more_views_are_asked_than_are_needed():
     hidden = np.zeros(shape[1:], bool)
     hidden[20, 60] = True
     d = np.full(shape, 8 * UNITS, np.uint16)
-    order = multiview.nearest_first(geometry)
-    assert list(order) == [0, 1, 2, 3, 4]
+    assert list(geometry.nearest_first) == [0, 1, 2, 3, 4]
+    assert list(geometry.views[4].nearest_first) == [4, 3, 2, 1, 0]
 
     def asked(d: np.ndarray, static: np.ndarray, most: int) -> list[int]:
-        return [
-            k for k, view in enumerate(cpu.witnessed(hidden, d, static, geometry, order, most, UNITS)) if view.any()
-        ]
+        return [k for k, view in enumerate(cpu.witnessed(hidden, d, static, geometry, most, UNITS)) if view.any()]
 
     everywhere = np.ones(shape, bool)
     assert asked(d, everywhere, 2) == [0, 1, 2]

@@ -70,6 +70,15 @@ class ArrayGeometry:
         return found
 
     @cached_property
+    def nearest_first(self) -> np.ndarray:
+        """int32 [K]: cameras by their distance from the reference, which is the first."""
+        distance = np.linalg.norm(self.positions - self.positions[self.reference], axis=1)
+        distance[self.reference] = -1
+        found = np.argsort(distance, kind="stable").astype(np.int32)
+        found.flags.writeable = False
+        return found
+
+    @cached_property
     def views(self) -> tuple[ArrayGeometry, ...]:
         """The array as seen from every camera."""
         return tuple(self.seen_from(k) for k in range(self.cameras))

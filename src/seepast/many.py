@@ -37,11 +37,6 @@ def cubic_weights(t: np.ndarray) -> list[np.ndarray]:
     ]
 
 
-def heaviest_first(near: np.ndarray) -> np.ndarray:
-    """int32 [K]: cameras by their weights near float32 [K], the greatest first."""
-    return np.argsort(-near, kind="stable").astype(np.int32)
-
-
 def camera_pairs(cameras: int, view: int, apart: int) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
     """Pairs that are matched where `view` sees the static scene itself, and where it does not: of the others, in their
     order, those that are at most `apart` places apart."""

@@ -254,20 +254,12 @@ def wanted_view(
     return d
 
 
-@lru_cache(maxsize=64)
-def nearest_first(geometry: ArrayGeometry) -> np.ndarray:
-    """int32 [K]: cameras by their distance from the reference, which is the first."""
-    distance = np.linalg.norm(geometry.positions, axis=1)
-    distance[geometry.reference] = -1
-    return np.argsort(distance, kind="stable").astype(np.int32)
-
-
 def around_people(found: Views, o: MultiviewOptions, backend: ModuleType) -> np.ndarray:
     """Where what people hide from the wanted view lies in the views that are asked of it, and `around` px of full size
     beside it, in rows no more than that: bool [K, h, w]."""
     level, geometry = found.level, found.level.geometry
-    hidden, order = ~level.static[geometry.reference], nearest_first(geometry)
-    there = backend.witnessed(hidden, found.disparity, level.static, geometry, order, o.witnesses, agreement(o))
+    hidden = ~level.static[geometry.reference]
+    there = backend.witnessed(hidden, found.disparity, level.static, geometry, o.witnesses, agreement(o))
     tall = 2 if o.half_rows else 1  # px of full size that a row of full size stands for
     return backend.beside(there, -(-o.around // level.scale), o.around // (tall * level.scale))
 

@@ -13,7 +13,7 @@ from ..candidates import CHUNK, EIGHTHS, Candidates, DisparityGrid
 from ..confidence import CLOSE
 from ..confidence import STEPS as FLATNESS_STEPS
 from ..geometry import ArrayGeometry
-from ..many import CONFIDENT, LIGHT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs, heaviest_first
+from ..many import CONFIDENT, LIGHT, LUMA, PLANE, UNITS, PairCosts, Penalties, VoteWeights, camera_pairs
 from .cpu import _bytes, _grid, view_arrays, workspace
 from .host import (
     beside,
@@ -157,14 +157,13 @@ def witnessed(
     disparities: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
-    order: np.ndarray,
     most: int,
     tolerance: int,
 ) -> np.ndarray:
     out = workspace.zeros(static.shape, bool)
     _core.witnessed(
-        geometry.offsets, *geometry.center, geometry.reference, _bytes(hidden), disparities, _bytes(static), order,
-        most, tolerance, _bytes(out),
+        geometry.offsets, *geometry.center, _bytes(hidden), disparities, _bytes(static), geometry.nearest_first, most,
+        tolerance, _bytes(out),
     )  # fmt: skip
     return out
 
@@ -464,7 +463,7 @@ def blend(
         rays,
         _bytes(clear),
         near,
-        heaviest_first(near),
+        geometry.nearest_first,
         LIGHT,
         edge,
         disparity,

@@ -88,11 +88,11 @@ def landings(hidden, low, high, geometry: ArrayGeometry):
     return out
 
 
-def witnessed(hidden, disparities, static, geometry: ArrayGeometry, order: np.ndarray, most: int, tolerance: int):
+def witnessed(hidden, disparities, static, geometry: ArrayGeometry, most: int, tolerance: int):
     out = device.current().xp.zeros(static.shape, bool)
     launch_tiles(
-        "level", "witnessed", (1, *hidden.shape), *view_table(geometry), hidden, disparities, static, constant(order),
-        *int32(most, tolerance, geometry.cameras, geometry.reference, *hidden.shape), out,
+        "level", "witnessed", (1, *hidden.shape), *view_table(geometry), hidden, disparities, static,
+        constant(geometry.nearest_first), *int32(most, tolerance, geometry.cameras, *hidden.shape), out,
     )  # fmt: skip
     return out
 

@@ -11,7 +11,7 @@ from ..geometry import ArrayGeometry
 from ..gpu import device
 from ..gpu.launches import int32, launch_line, launch_tiles, view_table
 from ..gpu.tables import constant
-from ..many import LIGHT, UNITS, heaviest_first
+from ..many import LIGHT, UNITS
 from .cuda import probability
 
 __all__ = ["blend", "evidence", "planes", "planes_of_views", "ray_count", "told"]
@@ -44,7 +44,7 @@ def blend(colour, rays, clear, near: np.ndarray, edge: float, geometry: ArrayGeo
     numbers = *int32(geometry.cameras, geometry.reference, *rays.shape), out
     launch_tiles(
         "blend", "blend", (1, *rays.shape), *view_table(geometry), colour, rays, clear, constant(near),
-        constant(heaviest_first(near)), LIGHT, np.float32(edge), disparity, wanted, *numbers,
+        constant(geometry.nearest_first), LIGHT, np.float32(edge), disparity, wanted, *numbers,
     )  # fmt: skip
     return out
 

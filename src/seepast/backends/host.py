@@ -168,23 +168,22 @@ def witnessed(
     disparities: np.ndarray,
     static: np.ndarray,
     geometry: ArrayGeometry,
-    order: np.ndarray,
     most: int,
     tolerance: int,
 ) -> np.ndarray:
     """Where rays of the reference's pixels `hidden` bool [h, w] end, at its own disparity, in views that are asked of
     what is there: bool [K, h, w].
 
-    Views are asked in their `order` int32 [K], of which the reference is the first, until `most` of the others have
-    seen it: their pixel there is static and differs by no more than `tolerance` from the disparity.
+    The nearest view is asked first, and so on until `most` of them have seen it: their pixel there is static and
+    differs by no more than `tolerance` from the disparity.
     disparities uint16 [K, h, w] in 32nds of a pixel, static bool [K, h, w].
     """
     height, width = hidden.shape
     out = np.zeros_like(static)
-    out[order[0]] = hidden
+    out[geometry.reference] = hidden
     y, x = np.nonzero(hidden)
     d, seen = disparities[geometry.reference][y, x], np.zeros(len(x), np.int32)
-    for k in order[1:]:
+    for k in geometry.nearest_first[1:]:
         u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d.astype(np.float32) / np.float32(UNITS)))
         there = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (seen < most)
         at = k, v[there], u[there]

@@ -37,7 +37,6 @@ from ..many import (
     VoteWeights,
     camera_pairs,
     cubic_weights,
-    heaviest_first,
 )
 from .host import (
     averaged,
@@ -584,13 +583,13 @@ def blend(
 
     rays uint16 [H, W]; clear bool [K, H, W]: pixels of camera k that are not beside a mask: those weigh `edge`; near
     float32 [K]: weight of cameras, which falls with their distance, since blending far views blurs. A ray of a camera
-    that weighs less than LIGHT of the heaviest ray so far is left out. 0 without any ray.
+    that weighs less than LIGHT of the heaviest ray of nearer ones is left out. 0 without any ray.
     """
     height, width = rays.shape
     y, x = np.mgrid[:height, :width].astype(np.int32)
     total, weights = np.zeros((height, width, 3), np.float32), np.zeros((height, width), np.float32)
     heaviest = np.zeros_like(weights)
-    for k in heaviest_first(near):
+    for k in geometry.nearest_first:
         used = (rays >> k & 1).astype(bool) & (near[k] >= LIGHT * heaviest)
         dx, dy = ray_offsets(geometry, k, x, y, disparity.astype(np.float32) / np.float32(UNITS))
         half = np.float32(0.5)

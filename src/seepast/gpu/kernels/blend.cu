@@ -37,8 +37,9 @@ __device__ void add_bicubic(const uint8_t* __restrict__ image, int height, int w
 }  // namespace
 
 // Of one view: offsets [K, 5]; colour uint8 [K, H, W, 3]; rays, d uint16, wanted uint8 [H, W]; clear uint8
-// [K, H, W]: where 0, pixels weigh `edge`; near [K]; order int32 [K]: the greatest first; rays of cameras
-// that weigh less than `light` of the heaviest so far are left out. background uint8 [H, W, 3].
+// [K, H, W]: where 0, pixels weigh `edge`; near [K]; order int32 [K]: the nearest camera first, and so the
+// greatest; rays of cameras that weigh less than `light` of the heaviest so far are left out. background
+// uint8 [H, W, 3].
 extern "C" __global__ void __launch_bounds__(256, 4)
     blend(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ colour,
           const uint16_t* __restrict__ rays, const uint8_t* __restrict__ clear,

@@ -111,15 +111,16 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
 }
 
 // Sets in out uint8 [K, H, W], zero before, where rays of the pixels `hidden` end in the views that are asked
-// of them (host.witnessed). disparities uint16, is_static uint8 [K, H, W]; order int32 [K].
+// of them (host.witnessed). disparities uint16, is_static uint8 [K, H, W]; order int32 [K]: the reference,
+// then the nearest.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     witnessed(const float* __restrict__ offsets, float cx, float cy, const uint8_t* __restrict__ hidden,
               const uint16_t* __restrict__ disparities, const uint8_t* __restrict__ is_static,
-              const int32_t* __restrict__ order, int most, int tolerance, int cameras, int reference,
-              int height, int width, uint8_t* __restrict__ out) {
+              const int32_t* __restrict__ order, int most, int tolerance, int cameras, int height, int width,
+              uint8_t* __restrict__ out) {
   const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
   if (x >= width || y >= height || !hidden[y * width + x]) return;
-  const int units = disparities[index(reference, height, width, y, x)];
+  const int units = disparities[index(order[0], height, width, y, x)];
   const float d = static_cast<float>(units) / 32.0f;
   out[index(order[0], height, width, y, x)] = 1;
   for (int i = 1, seen = 0; i < cameras && seen < most; ++i) {

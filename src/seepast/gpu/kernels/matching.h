@@ -10,7 +10,7 @@ constexpr int kNeighbours = 24;
 constexpr unsigned kAllNeighbours = (1u << kNeighbours) - 1;
 
 // A sample of a camera is two words: the census; and B, G, R, and these. `valid` has the bits of neighbours
-// that are static.
+// that are static, none where the sample itself is not.
 constexpr unsigned kStatic = 1u << 24;  // every pixel that the sample lies between is static
 constexpr unsigned kClear = 2u << 24;   // and so is every neighbour
 
