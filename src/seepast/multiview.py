@@ -161,19 +161,22 @@ def at_level(
         better = smoothed(found, level, voters, [costs[k] for k in voters], candidates, first, o, backend)
     asked = graded_on(candidates, whole, everywhere, level, o, dynamic_only)
     seen = confirmed(better, level, asked, o, backend, clock)
-    for _ in range(1, o.rounds):  # with what the others saw; the other views are heard on what is hidden only
+    own = costs.get(r)
+    for left in reversed(range(o.rounds - 1)):  # with what others saw; other views are heard on what is hidden only
         with clock("votes"):  # E_k(x, d) = base - gain s + gain v + hide o + C_k / 2
             polled = candidates if hides is None else asked_on(hides, before, level, candidates, backend)
-            energies = voted(costs, polled, seen, VoteWeights.of(o), backend)
+            if not left and r in matched:  # from here on, the wanted view alone needs its costs
+                own = backend.copied(costs[r])
+            energies = voted(costs, polled, seen, VoteWeights.of(o), backend, in_place=not left)
         with clock("aggregate"):
             of_matched = timed(energies, clock, "votes")
             better = smoothed(seen.disparity, level, matched, of_matched, polled, first, o, backend)
         seen = confirmed(better, level, asked, o, backend, clock)
-    if r in matched:
+    if own is not None:
         # views that are known to 2 px only have no say where the wanted one sees for itself
         weights = replace(VoteWeights.of(o), visible=whole)
         smooth = final if whole else first
-        seen.disparity[r] = wanted_view(seen, costs[r], candidates[r], smooth, weights, o, backend, clock)
+        seen.disparity[r] = wanted_view(seen, own, candidates[r], smooth, weights, o, backend, clock)
     return seen
 
 
@@ -206,13 +209,15 @@ def voted(
     seen: Views,
     weights: VoteWeights,
     backend: ModuleType,
+    in_place: bool,
 ) -> Iterable[np.ndarray]:
-    """Energies of the views by their costs and the other views' votes."""
-    views, matched = seen.level.views, list(costs)
+    """Energies of the views by their costs, whose place they may take, and the other views' votes."""
+    views, matched, volumes = seen.level.views, list(costs), list(costs.values())
     static, geometry, polled = ([of[k] for k in matched] for of in (seen.level.static, views, candidates))
     return backend.votes_of_views(
-        list(costs.values()), seen.disparity, seen.confidence, static, geometry, polled, matched, weights
-    )
+        volumes, seen.disparity, seen.confidence, static, geometry, polled, matched, weights,
+        volumes if in_place else None,
+    )  # fmt: skip
 
 
 def timed(made: Iterable[np.ndarray], clock: Clock, stage: str) -> Iterator[np.ndarray]:

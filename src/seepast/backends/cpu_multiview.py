@@ -30,6 +30,7 @@ __all__ = [
     "beside",
     "blend",
     "clear_of_masks",
+    "copied",
     "describe",
     "double_rows",
     "enlarged",
@@ -77,6 +78,12 @@ class Features:
 def describe(colour: np.ndarray, static: np.ndarray) -> Features:
     """Nothing yet: what `volumes` describes of a row is in the cache when it is matched, and no longer than that."""
     return Features(colour, static)
+
+
+def copied(array: np.ndarray) -> np.ndarray:
+    out = workspace.empty(array.shape, array.dtype)
+    np.copyto(out, array)
+    return out
 
 
 def averaged(
@@ -268,6 +275,7 @@ def aggregates(
             _grid(grid), _stacked([of.active for of in polled]), _stacked([of.start for of in polled]),
             penalties.small, penalties.large, penalties.dynamic, paths, otherwise is None, scratch, out[some],
         )  # fmt: skip
+        del scratch  # what the next ones take
     return out
 
 
@@ -401,12 +409,13 @@ def votes_of_views(
     candidates: Sequence[Candidates],
     skips: Sequence[int],
     weights: VoteWeights,
+    outs: Sequence[np.ndarray] | None = None,
 ) -> Iterator[np.ndarray]:
-    """One behind the other in one array, so that `aggregates` can take them as they are."""
-    joined = workspace.empty((sum(map(len, costs)), CHUNK), np.uint8)
-    of_views = np.split(joined, np.cumsum([len(c) for c in costs])[:-1])
-    for volume, static, view, of, skip, out in zip(costs, statics, views, candidates, skips, of_views, strict=True):
-        np.copyto(out, volume)
+    """One behind the other in one array if `outs` is None, so that `aggregates` can take them as they are."""
+    if outs is None:
+        joined = workspace.empty((sum(map(len, costs)), CHUNK), np.uint8)
+        outs = np.split(joined, np.cumsum([len(c) for c in costs])[:-1])
+    for volume, static, view, of, skip, out in zip(costs, statics, views, candidates, skips, outs, strict=True):
         yield votes(volume, disparities, confidence, static, view, of, skip, weights, out)
 
 
@@ -424,6 +433,7 @@ def votes(
     """`out`, where the energies go, may be `costs`."""
     if out is None:
         out = workspace.empty(costs.shape, np.uint8)
+    if out is not costs:
         np.copyto(out, costs)
     _core.votes(
         geometry.offsets, *geometry.center, costs, disparities, confidence, _bytes(static), _grid(candidates.grid),

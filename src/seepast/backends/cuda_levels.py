@@ -21,6 +21,7 @@ __all__ = [
     "averaged",
     "beside",
     "clear_of_masks",
+    "copied",
     "double_rows",
     "enlarged",
     "half_rows",
@@ -32,6 +33,10 @@ __all__ = [
 
 BINS = 1 << 16
 MOST_RADIUS = 15  # level.cu grow_disc
+
+
+def copied(array):
+    return array.copy()
 
 
 def three_channels(colour):

@@ -21,6 +21,7 @@ __all__ = [
     "averaged",
     "beside",
     "clear_of_masks",
+    "copied",
     "depth",
     "double_rows",
     "enlarged",
@@ -91,6 +92,10 @@ def told(
     if keep is not None:
         disparity, sure = np.where(keep, np.float32(0), disparity), np.where(keep, np.float32(0), sure)
     return disparity, sure, ray_count(shown)
+
+
+def copied(array: np.ndarray) -> np.ndarray:
+    return array.copy()
 
 
 def three_channels(colour: np.ndarray) -> np.ndarray:

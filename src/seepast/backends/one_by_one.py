@@ -71,12 +71,13 @@ class OneByOne:
         candidates: Sequence[Candidates],
         skips: Sequence[int],
         weights: VoteWeights,
+        outs: Sequence[np.ndarray] | None = None,
     ) -> Iterator[np.ndarray]:
-        """`votes` of n views, made when they are asked for."""
-        each = zip(costs, statics, views, candidates, skips, strict=True)
+        """`votes` of n views, made when they are asked for; `outs`, where they go, may be `costs`."""
+        each = zip(costs, statics, views, candidates, skips, outs or [None] * len(views), strict=True)
         return (
-            self.stages.votes(volume, disparities, confidence, static, view, of, skip, weights)
-            for volume, static, view, of, skip in each
+            self.stages.votes(volume, disparities, confidence, static, view, of, skip, weights, out)
+            for volume, static, view, of, skip, out in each
         )
 
     def graded_of_views(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 LEAST = 1 << 16  # bytes: less is taken from the heap
-LARGER = 4  # times as much memory as is asked for will do, where nothing smaller is free
+LARGER = 3  # times as much memory as is asked for will do, where nothing smaller is free
 FORGOTTEN = 256  # arrays later, memory that was not used again is returned
 
 
