@@ -65,12 +65,21 @@ void bind_people(nb::module_& m) {
       free_lock);
 
   m.def(
+      "sloping",
+      [](In<float, 3> surfaces, float least, int rows, int stride, Out<uint16_t, 3> out) {
+        sloping(size(surfaces.shape(0)), size(surfaces.shape(1)), size(surfaces.shape(2)), surfaces.data(),
+                least, rows, stride, out.data());
+      },
+      free_lock);
+
+  m.def(
       "object_grid",
       [](In<float, 3> offsets, In<float, 2> centers, int reference, In<uint8_t, 4> saw, In<float, 3> surfaces,
-         const Cells& cells, int stride, Out<uint16_t, 3> mean, Out<int64_t, 4> sums) {
+         const Cells& cells, int stride, In<uint16_t, 3> floor, Out<uint16_t, 3> mean,
+         Out<int64_t, 4> sums) {
         const auto views = views_of(offsets, centers, surfaces.shape(1), surfaces.shape(2));
-        object_grid(views.data(), reference, saw.data(), surfaces.data(), cells, stride, mean.data(),
-                    sums.data());
+        object_grid(views.data(), reference, saw.data(), surfaces.data(), cells, stride, floor.data(),
+                    mean.data(), sums.data());
       },
       free_lock);
 
@@ -91,6 +100,23 @@ void bind_people(nb::module_& m) {
         border_counts(size(surfaces.shape(0)), size(surfaces.shape(1)), size(surfaces.shape(2)), share.data(),
                       mean.data(), surfaces.data(), thresholds.data(), size(thresholds.shape(0)), step,
                       stride, counts.data());
+      },
+      free_lock);
+
+  m.def(
+      "surprise",
+      [](In<uint8_t, 3> colour, In<uint8_t, 3> behind, In<uint16_t, 2> rays, In<uint8_t, 2> wanted,
+         In<uint8_t, 1> levels, Out<uint8_t, 2> out) {
+        surprise(wanted.size(), colour.data(), behind.data(), rays.data(), wanted.data(), levels.data(),
+                 out.data());
+      },
+      free_lock);
+
+  m.def(
+      "surprise_counts",
+      [](In<uint8_t, 3> level, In<int8_t, 3> sure, int stride, Out<int64_t, 3> counts) {
+        surprise_counts(size(level.shape(0)), size(level.shape(1)), size(level.shape(2)), level.data(),
+                        sure.data(), stride, counts.data());
       },
       free_lock);
 
@@ -123,12 +149,12 @@ void bind_people(nb::module_& m) {
   m.def(
       "potential",
       [](In<float, 2> said, In<uint8_t, 2> dynamic, In<uint8_t, 3> colour, In<float, 3> linear,
-         In<int8_t, 2> sure, In<float, 1> sure_terms, float said_weight, float local, In<float, 1> colours,
-         int stride, int cell, Out<int16_t, 2> u) {
-        const Terms terms{sure_terms.data(), said_weight, local, colours.data()};
+         In<int8_t, 2> sure, In<uint8_t, 2> surprise, In<float, 1> behind, In<float, 1> sure_terms,
+         float said_weight, float local, In<float, 1> colours, int stride, int cell, Out<int16_t, 2> u) {
+        const Terms terms{sure_terms.data(), said_weight, local, colours.data(), behind.data()};
         potential(size(dynamic.shape(0)), size(dynamic.shape(1)), size(colour.shape(2)), said.data(),
                   dynamic.data(), colour.data(), linear.data(), sure.data(), size(sure.shape(0)),
-                  size(sure.shape(1)), terms, stride, cell, u.data());
+                  size(sure.shape(1)), surprise.data(), terms, stride, cell, u.data());
       },
       free_lock);
 

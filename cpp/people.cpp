@@ -42,16 +42,16 @@ GridPosition grid_position(const Array& view, int reference, const Cells& cells,
 
 // The terms of a row of potentials, before they are added.
 struct PotentialRow {
-  explicit PotentialRow(size_t width) : sure(width), local(width), colour(width) {}
-  std::vector<float> sure, local, colour;
+  explicit PotentialRow(size_t width) : sure(width), local(width), colour(width), unlike(width) {}
+  std::vector<float> sure, local, colour, unlike;
 };
 
 SEEPAST_CLONES
 void potential_row(const float* __restrict sure, const float* __restrict said, const float* __restrict local,
-                   const float* __restrict colour, float said_weight, float local_weight, int width,
-                   int16_t* __restrict u) {
+                   const float* __restrict colour, const float* __restrict unlike, float said_weight,
+                   float local_weight, int width, int16_t* __restrict u) {
   for (int i = 0; i < width; ++i)
-    u[i] = potential_of(sure[i], said[i], local[i], colour[i], said_weight, local_weight);
+    u[i] = potential_of(sure[i], said[i], local[i], colour[i], unlike[i], said_weight, local_weight);
 }
 
 }  // namespace
@@ -106,8 +106,28 @@ void disagreement(const uint8_t* saw, int cameras, int height, int width, int st
   sums[0] = low, sums[1] = high;
 }
 
+void sloping(int cameras, int height, int width, const float* surfaces, float least, int rows, int stride,
+             uint16_t* out) {
+  const Lattice grid(height, width, stride);
+  const size_t away = static_cast<size_t>(rows) * width;
+#pragma omp parallel for schedule(static)
+  for (int line = 0; line < cameras * grid.height; ++line) {
+    const int k = line / grid.height, y = grid.image(line % grid.height);
+    uint16_t* row = out + static_cast<size_t>(line) * grid.width;
+    if (y < rows || y + rows >= height) {
+      std::fill_n(row, grid.width, uint16_t{0});
+      continue;
+    }
+    const float* d = surfaces + (static_cast<size_t>(k) * height + y) * width;
+    for (int i = 0; i < grid.width; ++i) {
+      const float* here = d + grid.image(i);
+      row[i] = slopes(*(here - away), *here, here[away], least) ? kUnknown : uint16_t{0};
+    }
+  }
+}
+
 void object_grid(const Array* views, int reference, const uint8_t* saw, const float* surfaces,
-                 const Cells& cells, int stride, uint16_t* mean, int64_t* sums) {
+                 const Cells& cells, int stride, const uint16_t* floor, uint16_t* mean, int64_t* sums) {
   const int K = views->cameras;
   const Lattice grid(views->height, views->width, stride);
   const size_t size = cells.index(cells.count[0], 0, 0);
@@ -129,7 +149,7 @@ void object_grid(const Array* views, int reference, const uint8_t* saw, const fl
         }
         uint16_t& pooled = mean[static_cast<size_t>(line) * grid.width + i];
         pooled = n ? static_cast<uint16_t>((kPooled * total + n / 2) / n) : kUnknown;
-        if (!n) continue;
+        if (!n || floor[static_cast<size_t>(line) * grid.width + i]) continue;
         const GridPosition g = grid_position(views[k], reference, cells, x, y, surfaces[at]);
         const size_t cell =
             cells.index(floor_int(g.at[0] + 0.5f), floor_int(g.at[1] + 0.5f), floor_int(g.at[2] + 0.5f));
@@ -208,6 +228,31 @@ void border_counts(int cameras, int height, int width, const uint16_t* share, co
       sum += total[c * row + i];
       counts[c * count + i] = sum;
     }
+}
+
+void surprise(size_t pixels, const uint8_t* colour, const uint8_t* behind, const uint16_t* rays,
+              const uint8_t* wanted, const uint8_t* levels, uint8_t* out) {
+  constexpr size_t kSome = 1 << 12;
+  const int parts = static_cast<int>((pixels + kSome - 1) / kSome);
+#pragma omp parallel for schedule(static)
+  for (int part = 0; part < parts; ++part)
+    for (size_t i = part * kSome; i < std::min(pixels, (part + 1) * kSome); ++i)
+      out[i] = wanted[i] && rays[i] ? levels[colour_step(colour + 3 * i, behind + 3 * i)] : kNoSay;
+}
+
+void surprise_counts(int cameras, int height, int width, const uint8_t* surprise, const int8_t* sure,
+                     int stride, int64_t* counts) {
+  const Lattice grid(height, width, stride);
+  std::fill_n(counts, static_cast<size_t>(cameras) * 2 * kLevels, 0);
+#pragma omp parallel for schedule(static)
+  for (int k = 0; k < cameras; ++k)
+    for (int j = 0; j < grid.height; ++j)
+      for (int i = 0; i < grid.width; ++i) {
+        const int label = sure[k * grid.pixels() + static_cast<size_t>(j) * grid.width + i];
+        const uint8_t level =
+            surprise[(static_cast<size_t>(k) * height + grid.image(j)) * width + grid.image(i)];
+        if (label && level != kNoSay) ++counts[(2 * k + (label > 0)) * kLevels + level];
+      }
 }
 
 void people_histograms(int cameras, int height, int width, int channels, const uint8_t* dynamic,
@@ -289,7 +334,8 @@ void log_odds(int cameras, int height, int width, const uint8_t* saw, const floa
 
 void potential(int height, int width, int channels, const float* said, const uint8_t* dynamic,
                const uint8_t* colour, const float* linear, const int8_t* sure, int sure_height,
-               int sure_width, const Terms& terms, int stride, int cell, int16_t* u) {
+               int sure_width, const uint8_t* surprise, const Terms& terms, int stride, int cell,
+               int16_t* u) {
   const Lattice grid(height, width, stride);
 #pragma omp parallel
   {
@@ -308,11 +354,15 @@ void potential(int height, int width, int channels, const float* said, const uin
       for (int i = 0; i < grid.width;) {
         const int here = i / cell,
                   end = here + 1 < sure_width ? std::min((here + 1) * cell, grid.width) : grid.width;
-        const float label = terms.sure[labels[std::min(here, sure_width - 1)] + 1];
-        for (; i < end; ++i) row.sure[i] = label;
+        const int label = labels[std::min(here, sure_width - 1)];
+        for (; i < end; ++i) {
+          const uint8_t level = surprise[at + grid.image(i)];
+          row.sure[i] = terms.sure[label + 1];
+          row.unlike[i] = level == kNoSay || label < 0 ? 0.0f : terms.behind[level];
+        }
       }
-      potential_row(row.sure.data(), said + out, row.local.data(), row.colour.data(), terms.said, terms.local,
-                    grid.width, u + out);
+      potential_row(row.sure.data(), said + out, row.local.data(), row.colour.data(), row.unlike.data(),
+                    terms.said, terms.local, grid.width, u + out);
       for (int i = 0; i < grid.width; ++i)
         if (dynamic[at + grid.image(i)] == kNoRay) u[out + i] = 0;
     }

@@ -95,11 +95,24 @@ SEEPAST_HD float local_of(const float* linear, const int* c) {
          linear[2] * static_cast<float>(c[2]) + linear[3];
 }
 
+// Whether a disparity changes by more than `least` from above to here and from here to below, the same way.
+SEEPAST_HD bool slopes(float above, float here, float below, float least) {
+  const float before = here - above, after = below - here;
+  return (before > least && after > least) || (before < -least && after < -least);
+}
+
+// Sum of the steps of the three channels.
+SEEPAST_HD int colour_step(const uint8_t* a, const uint8_t* b) {
+  int sum = 0;
+  for (int i = 0; i < 3; ++i) sum += a[i] < b[i] ? b[i] - a[i] : a[i] - b[i];
+  return sum;
+}
+
 // Log-odds of its terms, kNats ths of a nat.
-SEEPAST_HD int16_t potential_of(float sure, float said, float local, float colour, float said_weight,
-                                float local_weight) {
+SEEPAST_HD int16_t potential_of(float sure, float said, float local, float colour, float unlike,
+                                float said_weight, float local_weight) {
   const float label = between(local - 0.5f, -0.5f, 0.5f) * local_weight;
-  const float sum = sure + said * said_weight + label + colour;
+  const float sum = sure + said * said_weight + label + colour + unlike;
   const float cut = between(sum, -kMaxPotential, kMaxPotential);
   return static_cast<int16_t>(floor_int(cut * static_cast<float>(kNats) + 0.5f));
 }

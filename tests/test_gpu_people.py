@@ -43,8 +43,12 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     assert np.array_equal(*both(lambda b: b.witnesses(s.scene.dynamic, s.surfaces, s.geometry, 9)))
     assert len(set(both(lambda b: b.disagreement(s.saw, stride)))) == 1
     assert len(set(both(lambda b: b.surface_range(s.surfaces)))) == 1
-    cells = people.object_cells(s.geometry, s.surfaces, OPTIONS, cuda_people)
-    (mean, sums), (mean_gpu, sums_gpu) = both(lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride))
+    cells = people.object_cells(s.geometry, reference_people.surface_range(s.surfaces), OPTIONS)
+    floor, again = both(lambda b: b.sloping(s.surfaces + s.floor, 1.0, 4, stride))
+    assert np.array_equal(floor, again) and 100 < (floor > 0).sum() < floor.size - 100
+    (mean, sums), (mean_gpu, sums_gpu) = both(
+        lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride, floor)
+    )
     assert np.array_equal(mean, mean_gpu)
     assert np.array_equal(sums, sums_gpu)
     grid = people.blurred(sums, 0.5)
@@ -57,6 +61,12 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     person, sure = rng.integers(0, 2, shape, np.uint8), rng.integers(-1, 2, shape, np.int8)
     for a, b in zip(*both(lambda b: b.histograms(s.scene.dynamic, s.colour, person, stride)), strict=True):
         assert np.array_equal(a, b)
+    surprise, again = both(lambda b: b.surprises(s.bgr, list(s.behind), list(s.rays), s.wanted))
+    assert np.array_equal(surprise, again) and len(np.unique(surprise)) > 8
+    counts, again = both(lambda b: b.surprise_counts(surprise, sure, stride))
+    assert np.array_equal(counts, again) and counts[:, :, 8:].all()
+    for radius in (0, 1, 3):
+        assert np.array_equal(*both(lambda b: b.within(person, radius)))  # noqa: B023
     assert np.array_equal(*both(lambda b: b.colour_moments(s.colour, sure, stride, people.BLOCK)))
     table = rng.normal(0, 2, (3, people.LEVELS)).astype(np.float32)
     said, again = both(lambda b: b.log_odds(s.saw, table, stride))
@@ -64,11 +74,11 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     blobs = (rng.random(shape) < 0.99).astype(np.uint8)
     assert np.array_equal(*both(lambda b: b.sure_labels(blobs, said, PeopleOptions(inner=1, outer=2, sure_said=0))))
     colours = rng.normal(0, 2, people.COLOURS**3).astype(np.float32)
-    terms = people.Terms(np.float32([-3, 0, 1]), 0.5, 4.0, colours)
+    terms = people.Terms(np.float32([-3, 0, 1]), 0.5, 4.0, colours, rng.normal(0, 3, (3, people.LEVELS)).astype("f4"))
     some = sure[:, ::2, ::2].copy()
     for size in (8, 16, 24):
         linear = rng.normal(0, 0.003, (3, -(-35 // size), -(-61 // size), 4)).astype(np.float32)
-        given = said, s.scene.dynamic, s.colour, linear, some, terms, stride, 2, size
+        given = said, s.scene.dynamic, s.colour, linear, some, surprise, terms, stride, 2, size
         assert np.array_equal(*both(lambda b: b.potentials(*given)))  # noqa: B023
     costs = people.field_costs(channels, PeopleOptions(contrast=60, depth_step=20))
     u = rng.integers(-7680, 7681, shape).astype(np.int16)

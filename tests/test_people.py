@@ -100,6 +100,12 @@ class Steps:
         self.colour = rng.integers(0, 256, (3, 35, 61, self.channels), np.uint8)
         self.saw = reference_people.witnesses(self.scene.dynamic, self.surfaces, self.geometry, 9)
         self.h, self.w = people.lattice(self.surfaces, self.stride).shape[1:]
+        self.floor = np.clip(np.arange(35, dtype=np.float32) - 20, 0, None)[:, None]  # steps of a row: 1 px
+        self.bgr = rng.integers(0, 256, (3, 35, 61, 3), np.uint8)
+        near = self.bgr // 16 * 16  # steps of all sizes
+        self.behind = np.where(rng.random(self.bgr.shape) < 0.7, near, rng.integers(0, 256, self.bgr.shape, np.uint8))
+        self.rays = rng.integers(0, 4, (3, 35, 61), np.uint16)
+        self.wanted = rng.random((3, 35, 61)) < 0.8
         self.rng = rng
 
 
@@ -114,10 +120,14 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     rng, shape = s.rng, (3, s.h, s.w)
     assert np.array_equal(*both(lambda b: b.witnesses(s.scene.dynamic, s.surfaces, s.geometry, 9)))
     assert (s.saw[0, ..., 1] != people.NO_SAY).any()
-    cells = people.object_cells(s.geometry, s.surfaces, OPTIONS, cpu_people)
+    cells = people.object_cells(s.geometry, reference_people.surface_range(s.surfaces), OPTIONS)
     assert len(set(both(lambda b: b.disagreement(s.saw, stride)))) == 1
     assert both(lambda b: b.disagreement(np.full_like(s.saw, people.NO_SAY), stride)) == [0, 0]
-    (mean, sums), (mean_cpu, sums_cpu) = both(lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride))
+    floor, again = both(lambda b: b.sloping(s.surfaces + s.floor, 1.0, 4, stride))
+    assert np.array_equal(floor, again) and 100 < (floor > 0).sum() < floor.size - 100
+    (mean, sums), (mean_cpu, sums_cpu) = both(
+        lambda b: b.object_grid(s.saw, s.surfaces, s.geometry, cells, stride, floor)
+    )
     assert np.array_equal(mean, mean_cpu) and np.array_equal(sums, sums_cpu) and sums[1].sum() > 100
     grid = people.blurred(sums, 0.5)
     share, again = both(lambda b: b.object_slice(grid, mean, s.surfaces, s.geometry, cells, stride))
@@ -127,16 +137,31 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     person, sure = rng.integers(0, 2, shape, np.uint8), rng.integers(-1, 2, shape, np.int8)
     for a, b in zip(*both(lambda b: b.histograms(s.scene.dynamic, s.colour, person, stride)), strict=True):
         assert np.array_equal(a, b) and a.sum() > 100
+    surprise, again = both(lambda b: b.surprises(s.bgr, list(s.behind), list(s.rays), s.wanted))
+    assert np.array_equal(surprise, again) and len(np.unique(surprise)) > 8
+    counts, again = both(lambda b: b.surprise_counts(surprise, sure, stride))
+    assert np.array_equal(counts, again) and counts[:, :, 8:].all()
+    for radius in (0, 1, 3):
+        assert np.array_equal(*both(lambda b: b.within(person, radius)))  # noqa: B023
     assert np.array_equal(*both(lambda b: b.colour_moments(s.colour, sure, stride, people.BLOCK)))
     table = rng.normal(0, 2, (3, people.LEVELS)).astype(np.float32)
     said, again = both(lambda b: b.log_odds(s.saw, table, stride))
     assert np.array_equal(said, again)
     colours = rng.normal(0, 2, people.COLOURS**3).astype(np.float32)
-    terms = people.Terms(np.float32([-3, 0, 1]), 0.5, 4.0, colours)
+    terms = people.Terms(np.float32([-3, 0, 1]), 0.5, 4.0, colours, rng.normal(0, 3, (3, people.LEVELS)).astype("f4"))
     linear = rng.normal(0, 0.003, (35, 61, 4)).astype(np.float32)
     u, again = both(
         lambda b: b.potential(
-            said[1], s.scene.dynamic[1], s.colour[1], linear, sure[1, ::2, ::2].copy(), terms, stride, 2
+            said[1],
+            s.scene.dynamic[1],
+            s.colour[1],
+            linear,
+            sure[1, ::2, ::2].copy(),
+            surprise[1],
+            terms.behind[1],
+            terms,
+            stride,
+            2,
         )
     )
     assert np.array_equal(u, again) and u.std() > people.NATS

@@ -58,6 +58,10 @@ class Pictures:
         self._half_rows: tuple[ArrayGeometry, np.ndarray, np.ndarray] | None = None
         self._levels: dict[tuple[int, bool], Level] = {}
 
+    @property
+    def colour(self) -> np.ndarray:
+        return self._whole[1]
+
     def level(self, scale: int, half_rows: bool) -> Level:
         """The views `scale` times smaller; with `half_rows` after every two of their rows were averaged into one."""
         if (scale, half_rows) not in self._levels:

@@ -7,15 +7,17 @@ per stage, in order, of the backend's many-view module (backends.multiview).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from functools import lru_cache
+from functools import partial
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from . import backends, confidence
+from .behind import surprise
 from .candidates import Candidates, DisparityGrid
 from .frames import Frame
 from .geometry import ArrayGeometry
@@ -23,11 +25,10 @@ from .levels import Level, Pictures, Views, level_grid, scales
 from .many import UNITS, PairCosts, Penalties, VoteWeights
 from .options import MultiviewOptions, Options
 from .people import refine_people, trusted
+from .picture import picture
 from .surfaces import Surfaces, looks, static_span, surfaces
 
-if TYPE_CHECKING:
-    from .pipeline import Clock
-
+Clock = Callable[[str], AbstractContextManager[Any]]  # pipeline.Clock: counts the time of a stage
 CONTEXT = 16  # px of full size around what matters that a coarse level takes along
 ANY_DISTANCE = 1 << 20  # 32nds of a pixel: farther than any two disparities
 
@@ -60,9 +61,11 @@ def see_past(
             break
     assert seen is not None
     if not exact:
-        with clock("people"):  # masks from all views: people as surfaces that all cameras see
+        with clock("people"):  # masks from all views: people as surfaces that all cameras see, unlike what is behind
             whole = seen.at_full_size(dynamic.shape[1:], backend)
-            dynamic = refine_people(frame, whole, geometry, options.people, people)
+            unlike = partial(surprise, dynamic, pictures, seen, geometry, options, backend, people, behind)
+            known = unlike if options.people.behind else None
+            dynamic = refine_people(frame, whole, geometry, options.people, people, known)
             static = dynamic <= most
             pictures = Pictures(colour, static, geometry, backend)
     with clock("range"):  # candidates: between what the static surfaces span
@@ -91,6 +94,12 @@ def see_past(
         "labels": shown,
         "dynamic": dynamic,
     }, o.rounds
+
+
+def behind(level: Level, span: tuple[float, float], options: Options, backend: ModuleType) -> np.ndarray:
+    """D_k of all views on one level, each asked of the others what is hidden from it: uint16 [K, h, w]."""
+    each = replace(options.multiview, rounds=2, planes=False)
+    return at_level(level, span, None, False, replace(options, multiview=each), backend, nullcontext).disparity
 
 
 def views_disparities(
@@ -376,37 +385,3 @@ def confirmed(
                 static, sure = static & looked, sure | ~looked
             found = backend.planes_of_views(found, sure, level.colour, static)
     return Views(level, found, confidence)
-
-
-# ------------------------------------------------------------------------------------------------- picture
-
-
-def picture(
-    colour: np.ndarray,
-    rays: np.ndarray,
-    static: np.ndarray,
-    geometry: ArrayGeometry,
-    d: np.ndarray,
-    keep: np.ndarray,
-    options: Options,
-    backend: ModuleType,
-) -> np.ndarray:
-    """Colours: of the rays uint16 [H, W] (`labels`), or continued from around where there are none.
-
-    keep bool [H, W]: own pixels of the reference. No median: it mends the picture of wrong disparities, and blurs that
-    of right ones.
-    """
-    clear, near = backend.clear_of_masks(static), camera_weights(geometry, options.multiview)
-    background = backend.blend(colour, rays, clear, near, options.multiview.edge_weight, geometry, d, ~keep)
-    seen = rays > 0
-    if not seen.all():
-        background = backend.fill_unseen(background, seen.view(np.uint8), d.astype(np.float32) / np.float32(UNITS))
-    return background
-
-
-@lru_cache(maxsize=64)
-def camera_weights(geometry: ArrayGeometry, o: MultiviewOptions) -> np.ndarray:
-    """float32 [K]: 1 / k^camera_falloff, k the distance of camera k in units of the nearest one's."""
-    distance = np.linalg.norm(geometry.positions, axis=1)
-    unit = distance[distance > 0].min()
-    return np.where(distance > 0, (unit / np.maximum(distance, 1e-12)) ** o.camera_falloff, 1).astype(np.float32)

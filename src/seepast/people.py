@@ -1,11 +1,12 @@
 """Masks from all views: a person is one surface that all cameras see; a network errs in each of them differently.
 
-`refine_people` is the whole of it on one screen. Three ideas carry it:
+`refine_people` is the whole of it on one screen. Four ideas carry it:
 
 * the cameras' P(dynamic) are pooled over the views that see the same surface, then over whole objects (place and
   depth): an object's share of P survives errors of single pixels and of single views;
-* how far a level of P can be trusted, which colours people wear and what their edges look like nearby is learnt
-  from this very instant, and added up as log-odds u of every pixel;
+* what the other cameras see behind an object is what its gaps show, and a person does not (behind.py);
+* how far a level of P can be trusted, by how much people differ from what is behind them, which colours they wear and
+  what their edges look like nearby is learnt from this very instant, and added up as log-odds u of every pixel;
 * a two-label field whose costs fall with contrast and steps of the surface finds the outline.
 
 Loops over pixels are the backends' (backends/reference_people.py is their specification); what is small is here.
@@ -14,6 +15,7 @@ Loops over pixels are the backends' (backends/reference_people.py is their speci
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 
@@ -31,9 +33,11 @@ NO_SAY = 255  # in `saw`: this camera does not see the surface
 POOLED = 64  # steps per 254th of a pooled P
 UNKNOWN = 65535  # pooled P, or share of P, of a pixel without a ray
 SHARE = 4096  # steps of an object's share of P, 0..1
-LEVELS = 16  # of P, each with a reliability of its own
+LEVELS = 16  # of P, and of surprise, each with a reliability of its own
 COLOURS = 16  # levels of b, g and r
 NATS = 256  # steps per nat in the field
+# by the step from what is behind, sum |dBGR|: twice its binary logarithm
+SURPRISE = np.minimum(np.floor(2 * np.log2(1 + np.arange(766))), LEVELS - 1).astype(np.uint8)
 MAX_COST = 11.5  # nats: eight of them and MAX_POTENTIAL stay within an int16
 MAX_POTENTIAL = 30.0  # nats
 MAX_RATIO = 3.0  # nats that one learnt ratio may say
@@ -61,12 +65,13 @@ class Cells:
 @dataclass(frozen=True, eq=False)
 class Terms:
     """What the log-odds of a pixel are made of, nats: sure float32 [3] for static, unsure, person; said, a factor;
-    local, per unit of the local linear label; colours float32 [4096]."""
+    local, per unit of the local linear label; colours float32 [4096]; behind float32 [K, LEVELS], by the surprise."""
 
     sure: np.ndarray
     said: float
     local: float
     colours: np.ndarray
+    behind: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +85,12 @@ class FieldCosts:
 
 
 def refine_people(
-    frame: Frame, surfaces: np.ndarray, geometry: ArrayGeometry, options: PeopleOptions, backend: ModuleType
+    frame: Frame,
+    surfaces: np.ndarray,
+    geometry: ArrayGeometry,
+    options: PeopleOptions,
+    backend: ModuleType,
+    surprise_at: Callable[[np.ndarray, int], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Masks of all cameras from all cameras: 254ths of P(dynamic), uint8 [K, H, W], NO_RAY where frame.dynamic has it.
 
@@ -88,6 +98,9 @@ def refine_people(
     surfaces  float32 [K, H, W], D_k >= 0: disparity of the nearest surface in every view, people included, px over
               the array
     backend   reference_people or cpu_people
+    surprise_at  called with the objects' region, uint8 [K, h, w] on the lattice, and its stride: how much every pixel
+              in and around it differs from what other cameras see behind, uint8 [K, H, W] of LEVELS, NO_SAY where
+              nothing is known; None: nothing is
     """
     saw = backend.witnesses(frame.dynamic, surfaces, geometry, options.same_surface)
     stride = max(1, round(geometry.size[0] / options.working_width))
@@ -95,15 +108,18 @@ def refine_people(
     if region is None:
         return nobody(frame.dynamic)
 
+    surprise = frame.dynamic | np.uint8(NO_SAY) if surprise_at is None else surprise_at(region, stride)
     person, costs = region, field_costs(frame.colour.shape[-1], options)
     for step in (stride, 1):  # learnt from the objects' region, then once more from the outline that this gave
         levels, colours = backend.histograms(frame.dynamic, frame.colour, person, stride)
         said = backend.log_odds(saw, reliability(levels), step)
         sure = backend.sure_labels(region, said if step == stride else lattice(said, stride), options)
+        behind = options.behind * reliability(backend.surprise_counts(surprise, sure, stride))
         linear = local_label(backend.colour_moments(frame.colour, sure, stride, BLOCK), options)
-        terms = Terms(sure_terms(options), options.said, options.local, options.colour * colour_ratio(colours, options))
+        worn = options.colour * colour_ratio(colours, options)
+        terms = Terms(sure_terms(options), options.said, options.local, worn, behind)
         u = backend.potentials(
-            said, frame.dynamic, frame.colour, linear, sure, terms, step, stride // step, BLOCK * stride
+            said, frame.dynamic, frame.colour, linear, sure, surprise, terms, step, stride // step, BLOCK * stride
         )
         belief = backend.field(u, frame.colour, surfaces, costs, step)
         person = (belief > 0).astype(np.uint8)
@@ -158,29 +174,40 @@ def object_region(saw, surfaces, geometry, stride, options, backend) -> np.ndarr
 
     An object is a cell of place and disparity. Its share of P is sum / count of pooled P over all views, normalised
     so that the share of which a fifth of all P lies above is 1: people differ in how well a network knows them.
+
+    The floor is as far away as the feet that stand on it, and much wider: floors, and ceilings, are no part of an
+    object, but for what is near one and may be found on the wrong surface.
     """
-    cells = object_cells(geometry, surfaces, options, backend)
-    mean, sums = backend.object_grid(saw, surfaces, geometry, cells, stride)
+    nearest, farthest = backend.surface_range(surfaces)
+    nearest = max(nearest, 1.0)
+    cells = object_cells(geometry, (nearest, farthest), options)
+    rows = max(1, round(options.upright_reach * geometry.size[1]))
+    floor = backend.sloping(surfaces, options.upright * nearest / geometry.size[1] * rows, rows, stride)
+    mean, sums = backend.object_grid(saw, surfaces, geometry, cells, stride, floor)
     share = backend.object_slice(blurred(sums, options.cell_blur), mean, surfaces, geometry, cells, stride)
-    top = weighted_percentile(backend.share_histograms(share, mean, 2), 0.8)  # a sample says enough
-    shares = backend.share_histograms(share, mean, 1)
+    upright = share | floor  # UNKNOWN on floors
+    top = weighted_percentile(backend.share_histograms(upright, mean, 2), 0.8)  # a sample says enough
+    shares = backend.share_histograms(upright, mean, 1)
     one = SHARE * max(top, options.least_share)
     thresholds = np.round(one * np.arange(0.3, 0.905, 0.05)).astype(np.int32)
-    counts = backend.border_counts(share, mean, surfaces, thresholds, options.depth_step, stride)
+    counts = backend.border_counts(upright, mean, surfaces, thresholds, options.depth_step, stride)
     best = border_threshold(counts, int(shares[1].sum()))
     level = thresholds[best] if best is not None else one * valley(shares[0], one)
-    region = (share != UNKNOWN) & (share > level)
-    return region.astype(np.uint8) if region.mean() >= options.least_area else None
+    objects = ((upright != UNKNOWN) & (upright > level)).astype(np.uint8)
+    if objects.mean() < options.least_area:
+        return None
+    near = backend.within(objects, max(1, round(rows / stride)))
+    return near * ((share != UNKNOWN) & (share > level))
 
 
-def object_cells(geometry: ArrayGeometry, surfaces: np.ndarray, options: PeopleOptions, backend: ModuleType) -> Cells:
+def object_cells(geometry: ArrayGeometry, disparities: tuple[float, float], options: PeopleOptions) -> Cells:
     """Cells of a share of the view: people are that big. x reaches one view to either side, where others look.
 
-    In disparity a share of the nearest surface's (99th percentile): as thick in depth whatever the array.
+    In disparity a share of the nearest surface's: as thick in depth whatever the array. disparities of surfaces, px:
+    nearly the largest, and the largest.
     """
     width, height = geometry.size
-    most, farthest = backend.surface_range(surfaces)
-    nearest = max(most, 1.0)
+    nearest, farthest = disparities
     size = (options.cell_disparity * nearest, options.cell_height * height, options.cell_width * width)
     low = (0.0, 0.0, -1.0 * width)
     reach = (min(farthest, 2 * nearest), height, 3 * width)
@@ -241,8 +268,8 @@ def nobody(dynamic: np.ndarray) -> np.ndarray:
 
 
 def reliability(levels: np.ndarray) -> np.ndarray:
-    """log p(level | person) / p(level | static) of every camera's levels of P: float32 [K, LEVELS] from counts
-    int64 [K, 2, LEVELS] (static, person), smoothed over neighbouring levels and made to rise with P."""
+    """log p(level | person) / p(level | static) of every camera's levels of P, or of surprise: float32 [K, LEVELS] from
+    counts int64 [K, 2, LEVELS] (static, person), smoothed over neighbouring levels and made to rise."""
     padded = np.pad(levels.astype(np.float64), ((0, 0), (0, 0), (1, 1)), "edge")
     smooth = 0.25 * padded[..., :-2] + 0.5 * padded[..., 1:-1] + 0.25 * padded[..., 2:] + 3
     static, person = np.moveaxis(smooth / smooth.sum(-1, keepdims=True), 1, 0)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .. import _core
 from ..geometry import ArrayGeometry
-from ..people import COLOURS, LEVELS, MOMENTS, Cells, FieldCosts, Terms
+from ..people import COLOURS, LEVELS, MOMENTS, SURPRISE, Cells, FieldCosts, Terms
 from .cpu import view_arrays
 from .host_people import (  # noqa: F401
     potentials_by,
@@ -14,6 +14,7 @@ from .host_people import (  # noqa: F401
     share_histograms,
     sure_labels,
     surface_range,
+    within,
 )
 
 set_threads = _core.set_threads
@@ -32,9 +33,15 @@ def disagreement(saw: np.ndarray, step: int) -> float:
     return 1 - low / high if high else 0.0
 
 
-def object_grid(saw, surfaces, geometry, cells: Cells, stride) -> tuple[np.ndarray, np.ndarray]:
+def sloping(surfaces: np.ndarray, least: float, rows: int, stride: int) -> np.ndarray:
+    out = np.empty(_lattice(surfaces, stride), np.uint16)
+    _core.sloping(surfaces, least, rows, stride, out)
+    return out
+
+
+def object_grid(saw, surfaces, geometry, cells: Cells, stride, floor) -> tuple[np.ndarray, np.ndarray]:
     mean, sums = np.empty(_lattice(surfaces, stride), np.uint16), np.empty((2, *cells.count), np.int64)
-    _core.object_grid(*_views(geometry), geometry.reference, saw, surfaces, _cells(cells), stride, mean, sums)
+    _core.object_grid(*_views(geometry), geometry.reference, saw, surfaces, _cells(cells), stride, floor, mean, sums)
     return mean, sums
 
 
@@ -47,6 +54,19 @@ def object_slice(grid: np.ndarray, mean, surfaces, geometry, cells: Cells, strid
 def border_counts(share, mean, surfaces, thresholds: np.ndarray, step: float, stride: int) -> np.ndarray:
     counts = np.empty((4, len(thresholds)), np.int64)
     _core.border_counts(share, mean, surfaces, thresholds, step, stride, counts)
+    return counts
+
+
+def surprises(colour: np.ndarray, behind: list[np.ndarray], rays: list[np.ndarray], wanted: np.ndarray) -> np.ndarray:
+    out = np.empty(wanted.shape, np.uint8)
+    for k, (expected, seen) in enumerate(zip(behind, rays, strict=True)):
+        _core.surprise(colour[k], expected, seen, wanted[k].view(np.uint8), SURPRISE, out[k])
+    return out
+
+
+def surprise_counts(surprise: np.ndarray, sure: np.ndarray, stride: int) -> np.ndarray:
+    counts = np.empty((len(sure), 2, LEVELS), np.int64)
+    _core.surprise_counts(surprise, sure, stride, counts)
     return counts
 
 
@@ -69,11 +89,12 @@ def log_odds(saw, levels: np.ndarray, stride) -> np.ndarray:
     return out
 
 
-def potential(said, dynamic, colour, linear, sure, terms: Terms, stride, cell) -> np.ndarray:
+def potential(said, dynamic, colour, linear, sure, surprise, behind, terms: Terms, stride, cell) -> np.ndarray:
     u = np.empty(said.shape, np.int16)
     _core.potential(
-        said, dynamic, colour, linear, sure, terms.sure, terms.said, terms.local, terms.colours, stride, cell, u
-    )
+        said, dynamic, colour, linear, sure, surprise, behind, terms.sure, terms.said, terms.local, terms.colours,
+        stride, cell, u,
+    )  # fmt: skip
     return u
 
 

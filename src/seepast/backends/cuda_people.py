@@ -1,7 +1,7 @@
 """The loops of the mask refinement on the GPU: names, arguments and results of reference_people.py and host_people.py.
 
 Arrays of pixels are the device's. Small tables come in and go out as NumPy arrays: what is learnt from an instant is
-worked out on the CPU (people.py), where logarithms are the same for all backends. It waits for the GPU eight times.
+worked out on the CPU (people.py), where logarithms are the same for all backends. It waits for the GPU ten times.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ..gpu import device
 from ..gpu.launches import int32, launch_line, launch_tiles
 from ..gpu.tables import constant, views_table
 from ..options import PeopleOptions
-from ..people import COLOURS, LEVELS, MOMENTS, SHARE, Cells, FieldCosts, Terms
+from ..people import COLOURS, LEVELS, MOMENTS, SHARE, SURPRISE, Cells, FieldCosts, Terms
 from .cuda_levels import grown
 from .host_people import disc
 
@@ -31,8 +31,12 @@ __all__ = [
     "potentials",
     "probability",
     "share_histograms",
+    "sloping",
     "sure_labels",
     "surface_range",
+    "surprise_counts",
+    "surprises",
+    "within",
     "witnesses",
 ]
 
@@ -62,13 +66,21 @@ def surface_range(surfaces) -> tuple[float, float]:
     return float(np.percentile(sample, 99)), float(surfaces.max())
 
 
-def object_grid(saw, surfaces, geometry: ArrayGeometry, cells: Cells, stride: int):
+def sloping(surfaces, least: float, rows: int, stride: int):
+    out = device.current().xp.empty(_lattice(surfaces, stride), np.uint16)
+    launch_tiles(
+        "people", "sloping", out.shape, surfaces, np.float32(least), *int32(rows, *surfaces.shape[1:], stride), out
+    )
+    return out
+
+
+def object_grid(saw, surfaces, geometry: ArrayGeometry, cells: Cells, stride: int, floor):
     """The sums are a NumPy array: their blur is in float64, and small."""
     xp, shape = device.current().xp, _lattice(surfaces, stride)
     mean, sums = xp.empty(shape, np.uint16), xp.zeros((2, *cells.count), np.int64)
     launch_tiles(
         "people", "object_grid", shape, *_views(geometry), saw, surfaces, *_cells(cells),
-        *int32(geometry.reference, *surfaces.shape, stride), mean, sums,
+        *int32(geometry.reference, *surfaces.shape, stride), floor, mean, sums,
     )  # fmt: skip
     return mean, device.current().download(sums)
 
@@ -98,6 +110,26 @@ def border_counts(share, mean, surfaces, thresholds: np.ndarray, step: float, st
         shared=4 * totals.size,
     )  # fmt: skip
     return device.current().download(totals).cumsum(1)[:, :-1]
+
+
+def surprises(colour, behind: list, rays: list, wanted):
+    xp = device.current().xp
+    out = xp.empty(wanted.shape, np.uint8)
+    launch_tiles(
+        "people", "surprises", wanted.shape, colour, xp.stack(behind), xp.stack(rays), wanted, constant(SURPRISE),
+        *int32(*wanted.shape[1:]), out,
+    )  # fmt: skip
+    return out
+
+
+def surprise_counts(surprise, sure, stride: int) -> np.ndarray:
+    counts = device.current().xp.zeros((len(sure), 2, LEVELS), np.int64)
+    launch_tiles("people", "surprise_counts", sure.shape, surprise, sure, *int32(*surprise.shape[1:], stride), counts)
+    return device.current().download(counts)
+
+
+def within(region, radius: int):
+    return grown(region, disc(radius))
 
 
 def histograms(dynamic, colour, person, stride: int) -> tuple[np.ndarray, np.ndarray]:
@@ -140,15 +172,18 @@ def sure_labels(region, said, options: PeopleOptions):
     return out
 
 
-def potentials(said, dynamic, colour, linear: np.ndarray, sure, terms: Terms, stride: int, cell: int, size: int):
+def potentials(
+    said, dynamic, colour, linear: np.ndarray, sure, surprise, terms: Terms, stride: int, cell: int, size: int
+):
     u = device.current().xp.empty(said.shape, np.int16)
     rows, columns = linear.shape[1:3]
     height, width = dynamic.shape[1:]
     launch_tiles(
         "people", "potentials", said.shape, said, dynamic, colour, device.current().upload(linear),
-        *_between(rows, size, height), *_between(columns, size, width), sure, constant(terms.sure),
-        device.current().upload(terms.colours), np.float32(terms.said), np.float32(terms.local),
-        *int32(rows, columns, colour.shape[-1], height, width, *sure.shape[1:], stride, cell), u,
+        *_between(rows, size, height), *_between(columns, size, width), sure, constant(terms.sure), surprise,
+        device.current().upload(terms.behind), device.current().upload(terms.colours), np.float32(terms.said),
+        np.float32(terms.local), *int32(rows, columns, colour.shape[-1], height, width, *sure.shape[1:], stride, cell),
+        u,
     )  # fmt: skip
     return u
 

@@ -11,7 +11,7 @@ from ..options import PeopleOptions
 from ..people import NO_SAY, SHARE, UNKNOWN, Terms
 from ..rectify import NO_RAY
 
-__all__ = ["disagreement", "potentials_by", "probability", "share_histograms", "sure_labels", "surface_range"]
+__all__ = ["disagreement", "potentials_by", "probability", "share_histograms", "sure_labels", "surface_range", "within"]
 
 
 def disagreement(saw: np.ndarray, step: int) -> float:
@@ -56,6 +56,11 @@ def sure_labels(region: np.ndarray, said: np.ndarray, options: PeopleOptions) ->
     return out
 
 
+def within(region: np.ndarray, radius: int) -> np.ndarray:
+    """Pixels at most `radius` from one that is 1: uint8 [K, h, w] of as many."""
+    return np.stack([cv2.dilate(view, disc(radius)) for view in region])
+
+
 def disc(radius: int) -> np.ndarray:
     return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
 
@@ -71,11 +76,13 @@ def upsampled(blocks: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarr
 def potentials_by(potential: Callable[..., np.ndarray]) -> Callable[..., np.ndarray]:
     """`potentials` of a backend, whose `potential` is that of one camera."""
 
-    def potentials(said, dynamic, colour, linear, sure, terms: Terms, stride: int, cell: int, size: int) -> np.ndarray:
+    def potentials(
+        said, dynamic, colour, linear, sure, surprise, terms: Terms, stride: int, cell: int, size: int
+    ) -> np.ndarray:
         """`potential` of all cameras: int16 [K, h, w]. linear float32 [K, r, c, 4]: one value per size x size pixels of
         the images, linear between their centres; the rest as for one camera, with K as first axis."""
         labels = (upsampled(blocks, size, dynamic.shape[1:]) for blocks in linear)
-        views = zip(said, dynamic, colour, labels, sure, strict=True)
+        views = zip(said, dynamic, colour, labels, sure, surprise, terms.behind, strict=True)
         return np.stack([potential(*view, terms, stride, cell) for view in views])
 
     return potentials

@@ -74,7 +74,8 @@ class OneByOne:
         outs: Sequence[np.ndarray] | None = None,
     ) -> Iterator[np.ndarray]:
         """`votes` of n views, made when they are asked for; `outs`, where they go, may be `costs`."""
-        each = zip(costs, statics, views, candidates, skips, outs or [None] * len(views), strict=True)
+        places: Sequence[np.ndarray | None] = [None] * len(views) if outs is None else outs
+        each = zip(costs, statics, views, candidates, skips, places, strict=True)
         return (
             self.stages.votes(volume, disparities, confidence, static, view, of, skip, weights, out)
             for volume, static, view, of, skip, out in each

@@ -22,6 +22,7 @@ from ..people import (
     NO_SAY,
     POOLED,
     SHARE,
+    SURPRISE,
     UNKNOWN,
     Cells,
     FieldCosts,
@@ -36,6 +37,7 @@ from .host_people import (  # noqa: F401
     share_histograms,
     sure_labels,
     surface_range,
+    within,
 )
 from .reference import ray_offsets, rounded_ray
 
@@ -95,12 +97,29 @@ def pooled(saw: np.ndarray) -> np.ndarray:
     return np.where(n > 0, (POOLED * total + n // 2) // np.maximum(n, 1), UNKNOWN).astype(np.uint16)
 
 
-def object_grid(saw, surfaces, geometry, cells: Cells, stride) -> tuple[np.ndarray, np.ndarray]:
-    """Pooled P of the lattice pixels uint16 [K, h, w], and its sum and count per cell: int64 [2, *cells.count]."""
+def sloping(surfaces: np.ndarray, least: float, rows: int, stride: int) -> np.ndarray:
+    """Lattice pixels on floors and ceilings: uint16 [K, h, w], UNKNOWN there and 0 elsewhere.
+
+    The disparity changes by more than `least` px both to `rows` pixels above and from there to as many below, the same
+    way: at an edge of an object it changes on one side only.
+    """
+    height = surfaces.shape[1]
+    y = np.arange(stride // 2, height, stride)
+    inside = (y >= rows) & (y + rows < height)
+    here, columns = surfaces[:, y], np.s_[..., stride // 2 :: stride]
+    above, below = here - surfaces[:, (y - rows).clip(0)], surfaces[:, (y + rows).clip(0, height - 1)] - here
+    least = np.float32(least)
+    slope = ((above > least) & (below > least)) | ((above < -least) & (below < -least))
+    return np.where(slope & inside[:, None], np.uint16(UNKNOWN), np.uint16(0))[columns].copy()
+
+
+def object_grid(saw, surfaces, geometry, cells: Cells, stride, floor) -> tuple[np.ndarray, np.ndarray]:
+    """Pooled P of the lattice pixels uint16 [K, h, w], and its sum and count per cell, without those of `floor`
+    (`sloping`): int64 [2, *cells.count]."""
     mean = pooled(lattice(saw, stride))
     sums = np.zeros((2, *cells.count), np.int64)
     for k in range(len(saw)):
-        known = mean[k] != UNKNOWN
+        known = (mean[k] != UNKNOWN) & (floor[k] == 0)
         cell = np.floor(grid_position(geometry, k, cells, surfaces, stride) + np.float32(0.5)).astype(int)[:, known]
         np.add.at(sums[0], tuple(cell), mean[k][known].astype(np.int64))
         np.add.at(sums[1], tuple(cell), 1)
@@ -149,6 +168,33 @@ def border_counts(share, mean, surfaces, thresholds: np.ndarray, step: float, st
             border = (inside[p] != inside[q]) & known[p] & known[q]
             nearer = np.where(inside[p], d[p] - d[q], d[q] - d[p]) > np.float32(step)
             counts[:2, i] += (border & nearer).sum(), border.sum()
+    return counts
+
+
+# ---------------------------------------------------------------------------------------- what is behind them
+
+
+def surprises(colour: np.ndarray, behind: list[np.ndarray], rays: list[np.ndarray], wanted: np.ndarray) -> np.ndarray:
+    """How much every pixel differs from what other cameras see behind it: levels uint8 [K, H, W] by sum |dBGR|
+    (SURPRISE), NO_SAY where it is not `wanted`, bool [K, H, W], or no ray shows it.
+
+    colour uint8 [K, H, W, 3]; of every camera, behind uint8 [H, W, 3] (`blend`), and rays uint16 [H, W] that show it.
+    """
+    out = np.full(wanted.shape, NO_SAY, np.uint8)
+    for k, (expected, seen) in enumerate(zip(behind, rays, strict=True)):
+        step = np.abs(colour[k].astype(np.int32) - expected).sum(-1)
+        out[k] = np.where(wanted[k] & (seen > 0), SURPRISE[step], NO_SAY)
+    return out
+
+
+def surprise_counts(surprise: np.ndarray, sure: np.ndarray, stride: int) -> np.ndarray:
+    """Of surely static (0) and surely person's (1) lattice pixels, sure int8 [K, h, w], those of every level: int64
+    [K, 2, LEVELS]."""
+    at = lattice(surprise, stride)
+    counts = np.zeros((len(at), 2, LEVELS), np.int64)
+    for k in range(len(at)):
+        for label, of in ((0, sure[k] < 0), (1, sure[k] > 0)):
+            counts[k, label] = np.bincount(at[k][of & (at[k] != NO_SAY)], minlength=LEVELS)
     return counts
 
 
@@ -205,16 +251,17 @@ def log_odds(saw, levels: np.ndarray, stride) -> np.ndarray:
     return total * (np.float32(1) / np.maximum(n, 1).astype(np.float32))
 
 
-def potential(said, dynamic, colour, linear, sure, terms: Terms, stride, cell) -> np.ndarray:
+def potential(said, dynamic, colour, linear, sure, surprise, behind, terms: Terms, stride, cell) -> np.ndarray:
     """Log-odds u that a pixel shows a person, NATS ths of a nat: int16 [h, w] of one camera's lattice.
 
-    u = terms.sure[sure] + terms.said said + terms.local clip(linear . (b, g, r, 1) - 1/2) + terms.colours[colour];
-    0 without a ray.
+    u = terms.sure[sure] + terms.said said + terms.local clip(linear . (b, g, r, 1) - 1/2) + terms.colours[colour]
+    + behind[surprise], which is nothing where there is no surprise and where it is sure to be static; 0 without a ray.
 
-    said float32 [h, w] (`log_odds`); dynamic uint8 [H, W]; colour uint8 [H, W, C]; linear float32 [H, W, 4]; sure int8
-    [h', w'], one value for cell x cell pixels of this lattice.
+    said float32 [h, w] (`log_odds`); dynamic, surprise uint8 [H, W]; colour uint8 [H, W, C]; linear float32 [H, W, 4];
+    sure int8 [h', w'], one value for cell x cell pixels of this lattice; behind float32 [LEVELS], terms.behind of this
+    camera.
     """
-    dynamic, colour, linear = (lattice(v[None], stride)[0] for v in (dynamic, colour, linear))
+    dynamic, colour, linear, surprise = (lattice(v[None], stride)[0] for v in (dynamic, colour, linear, surprise))
     h, w = said.shape
     y, x = np.mgrid[:h, :w]
     at = np.minimum(y // cell, sure.shape[0] - 1), np.minimum(x // cell, sure.shape[1] - 1)
@@ -222,7 +269,9 @@ def potential(said, dynamic, colour, linear, sure, terms: Terms, stride, cell) -
     half, limit = np.float32(0.5), np.float32(MAX_POTENTIAL)
     local = linear[..., 0] * b + linear[..., 1] * g + linear[..., 2] * r + linear[..., 3]
     local = (local - half).clip(-half, half) * np.float32(terms.local)
-    u = terms.sure[sure[at] + 1] + said * np.float32(terms.said) + local + terms.colours[colour_bin(colour)]
+    known = (surprise != NO_SAY) & (sure[at] >= 0)
+    unlike = np.where(known, behind[np.minimum(surprise, LEVELS - 1)], np.float32(0))
+    u = terms.sure[sure[at] + 1] + said * np.float32(terms.said) + local + terms.colours[colour_bin(colour)] + unlike
     fixed = np.floor(u.clip(-limit, limit) * np.float32(NATS) + half).astype(np.int16)
     return np.where(dynamic != NO_RAY, fixed, np.int16(0))
 

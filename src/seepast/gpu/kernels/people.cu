@@ -102,13 +102,29 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   }
 }
 
-// places float [9]: low, inverse and last of Cells; sums int64 [2, cells], zero before; mean uint16 [K, h,
-// w].
+// out uint16 [K, h, w]: kUnknown on floors and ceilings, else 0.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    sloping(const float* __restrict__ surfaces, float least, int rows, int height, int width, int stride,
+            uint16_t* __restrict__ out) {
+  const Lattice grid(height, width, stride);
+  const Place at(grid, height, width);
+  if (!at.there) return;
+  const int y = grid.image(at.j);
+  const size_t away = static_cast<size_t>(rows) * width;
+  const bool floor =
+      y >= rows && y + rows < height &&
+      slopes(surfaces[at.image - away], surfaces[at.image], surfaces[at.image + away], least);
+  out[at.lattice] = floor ? kUnknown : static_cast<uint16_t>(0);
+}
+
+// places float [9]: low, inverse and last of Cells; sums int64 [2, cells], zero before, without the pixels of
+// floor; floor, mean uint16 [K, h, w].
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     object_grid(const float* __restrict__ offsets, const float* __restrict__ centers,
                 const uint8_t* __restrict__ saw, const float* __restrict__ surfaces,
                 const float* __restrict__ places, int in_d, int in_y, int in_x, int reference, int cameras,
-                int height, int width, int stride, uint16_t* __restrict__ mean, int64_t* __restrict__ sums) {
+                int height, int width, int stride, const uint16_t* __restrict__ floor,
+                uint16_t* __restrict__ mean, int64_t* __restrict__ sums) {
   const Cells cells{{places[0], places[1], places[2]},
                     {places[3], places[4], places[5]},
                     {places[6], places[7], places[8]},
@@ -120,7 +136,7 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     const Pooled p = pooled(saw + at.image * cameras, cameras);
     value = p.n ? (kPooled * p.total + p.n / 2) / p.n : kUnknown;
     mean[at.lattice] = static_cast<uint16_t>(value);
-    if (p.n) {
+    if (p.n && !floor[at.lattice]) {
       const GridPosition g =
           grid_position(offsets + kOffsets * (cameras * at.k + reference), centers[2 * at.k],
                         centers[2 * at.k + 1], cells, grid.image(at.i), grid.image(at.j), surfaces[at.image]);
@@ -232,6 +248,36 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     if (own[n]) add_long(&totals[n], own[n]);
 }
 
+// Levels, uint8 [766] by the colour step, of pixels bool wanted [K, H, W] that some ray, uint16 [K, H, W],
+// shows; colour, behind uint8 [K, H, W, 3]; out uint8 [K, H, W].
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    surprises(const uint8_t* __restrict__ colour, const uint8_t* __restrict__ behind,
+              const uint16_t* __restrict__ rays, const uint8_t* __restrict__ wanted,
+              const uint8_t* __restrict__ levels, int height, int width, uint8_t* __restrict__ out) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y;
+  if (x >= width || y >= height) return;
+  const size_t at = (static_cast<size_t>(blockIdx.z) * height + y) * width + x;
+  out[at] = wanted[at] && rays[at] ? levels[colour_step(colour + 3 * at, behind + 3 * at)] : kNoSay;
+}
+
+// surprise uint8 [K, H, W], sure int8 [K, h, w]; counts int64 [K, 2, kLevels], zero before.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    surprise_counts(const uint8_t* __restrict__ surprise, const int8_t* __restrict__ sure, int height,
+                    int width, int stride, int64_t* __restrict__ counts) {
+  __shared__ int own[2 * kLevels];  // of this camera
+  const int t = threadIdx.y * kAcross + threadIdx.x;
+  if (t < 2 * kLevels) own[t] = 0;
+  __syncthreads();
+  const Lattice grid(height, width, stride);
+  const Place at(grid, height, width);
+  if (at.there) {
+    const int label = sure[at.lattice], level = surprise[at.image];
+    if (label && level != kNoSay) atomicAdd(&own[(label > 0) * kLevels + level], 1);
+  }
+  __syncthreads();
+  if (t < 2 * kLevels && own[t]) add_long(&counts[2 * kLevels * at.k + t], own[t]);
+}
+
 // person uint8 [K, h, w]; levels int64 [K, 2, kLevels], colours int64 [2, kColours], both zero before.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     histograms(const uint8_t* __restrict__ dynamic, const uint8_t* __restrict__ colour,
@@ -316,13 +362,14 @@ extern "C" __global__ void __launch_bounds__(256)
 // said float, u int16 [K, h, w]; sure int8 [K, sure_height, sure_width]. The local label is linear between
 // four of blocks float4 [K, rows, columns]: of every row and column of the image the block before it, above
 // int32 [H] and left [W], and the share of the next, down and right. Steps are added in one rounding, as
-// OpenCV does.
+// OpenCV does. surprise uint8 [K, H, W], behind float [K, kLevels].
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
     potentials(const float* __restrict__ said, const uint8_t* __restrict__ dynamic,
                const uint8_t* __restrict__ colour, const float* __restrict__ blocks,
                const int32_t* __restrict__ above, const float* __restrict__ down,
                const int32_t* __restrict__ left, const float* __restrict__ right,
                const int8_t* __restrict__ sure, const float* __restrict__ sure_terms,
+               const uint8_t* __restrict__ surprise, const float* __restrict__ behind,
                const float* __restrict__ colours, float said_weight, float local_weight, int rows,
                int columns, int channels, int height, int width, int sure_height, int sure_width, int stride,
                int cell, int16_t* __restrict__ u) {
@@ -344,8 +391,10 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   bgr(colour + at.image * channels, channels, bgr_here);
   const int row = min(at.j / cell, sure_height - 1), column = min(at.i / cell, sure_width - 1);
   const int label = sure[(static_cast<size_t>(at.k) * sure_height + row) * sure_width + column];
+  const int level = surprise[at.image];
+  const float unlike = level == kNoSay || label < 0 ? 0.0f : behind[at.k * kLevels + level];
   const int16_t found = potential_of(sure_terms[label + 1], said[at.lattice], local_of(linear, bgr_here),
-                                     colours[colour_bin(bgr_here)], said_weight, local_weight);
+                                     colours[colour_bin(bgr_here)], unlike, said_weight, local_weight);
   u[at.lattice] = dynamic[at.image] == kNoRay ? static_cast<int16_t>(0) : found;
 }
 
