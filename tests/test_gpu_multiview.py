@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from cuda_on_cpu import EmulatedDevice
-from seepast import multiview
 from seepast.backends import cuda_levels as levels
 from seepast.backends import cuda_picture as picture
 from seepast.backends import cuda_votes as cuda
@@ -19,6 +18,7 @@ from seepast.candidates import CHUNK, DisparityGrid
 from seepast.confidence import VIEWS
 from seepast.gpu import device
 from seepast.many import UNITS, VoteWeights
+from seepast.picture import camera_weights
 from test_multiview import KINDS, OPTIONS, SCENES, VOTED, WEIGHTS, assert_same, case, every_scene, some_candidates
 
 
@@ -122,7 +122,7 @@ def test_blend(name):
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
     clear = host.clear_of_masks(c.static)
     for k in c.some_views:
-        near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
+        near = camera_weights(c.views[k], OPTIONS.multiview)
         given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
         assert_same(*(b.blend(c.colour, *given) for b in (reference, picture)))
 

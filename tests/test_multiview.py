@@ -31,6 +31,7 @@ from seepast.many import (
     cubic_weights,
 )
 from seepast.people import trusted
+from seepast.picture import camera_weights
 from seepast.pipeline import Clock
 from seepast.surfaces import SPARE, Look, few_cameras, looks, static_span, surfaces, well_placed
 
@@ -531,7 +532,7 @@ def test_blend(name):
     rays = np.random.default_rng(2).integers(0, 1 << len(c.static), c.choice[0].shape).astype(np.uint16)
     clear = cpu.clear_of_masks(c.static)
     for k in c.some_views:
-        near = multiview.camera_weights(c.views[k], OPTIONS.multiview)
+        near = camera_weights(c.views[k], OPTIONS.multiview)
         given = rays, clear, near, 0.3, c.views[k], c.disparities[k], c.choice[0]
         assert_same(*(b.blend(c.colour, *given) for b in (reference, cpu)))
 
