@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from . import backends, confidence
+from .balance import balanced
 from .behind import surprise
 from .candidates import Candidates, DisparityGrid
 from .frames import Frame
@@ -53,8 +54,15 @@ def see_past(
     pictures = Pictures(colour, static, geometry, backend)
     seen: Surfaces | None = None
     for look in looks(geometry, options):
+        first = seen is None
         with clock("surfaces"):  # what every camera sees, people included, at a coarse look
             seen = surfaces(pictures, geometry, look, options, backend, seen)
+        if first:
+            with clock("balance"):  # exposures are made equal
+                given, frame = frame, balanced(frame, seen, o.balance, backend)
+                if frame is not given:
+                    colour = backend.three_channels(frame.colour)
+                    pictures = Pictures(colour, static, geometry, backend)
         with clock("people"):  # exact masks need no closer look
             exact = not options.people.enabled or trusted(dynamic, seen, options.people, people)
         if exact:

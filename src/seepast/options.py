@@ -137,6 +137,9 @@ class MultiviewOptions(StageOptions):
     """The many-view method (multiview.py): every camera is a reference once, then they vote."""
 
     enabled: bool = option(False, "", None, None, "this method instead of the paper's stages")
+    balance: float = option(
+        0.01, "", 0, 10, "cameras whose gain differs by more from the wanted one's are matched to it"
+    )
     rounds: int = option(2, "rounds", 1, 4, "per level; 1: no votes between the views before the wanted one's own")
     threshold: float = option(0.5, "", 0, 1, "a pixel is static where its prior P(static) is at least this")
     range_scale: int = option(4, "", 1, 8, "views are reduced this often to find the range of disparities")

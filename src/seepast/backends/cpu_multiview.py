@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from .. import _core
@@ -43,6 +44,7 @@ __all__ = [
     "inner_span",
     "labels",
     "landings",
+    "mapped",
     "planes",
     "planes_of_views",
     "three_channels",
@@ -83,6 +85,13 @@ def describe(colour: np.ndarray, static: np.ndarray) -> Features:
 def copied(array: np.ndarray) -> np.ndarray:
     out = workspace.empty(array.shape, array.dtype)
     np.copyto(out, array)
+    return out
+
+
+def mapped(colour: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    out = workspace.empty(colour.shape, np.uint8)
+    for view, table, to in zip(colour, tables, out, strict=True):
+        cv2.LUT(view, np.ascontiguousarray(table.T)[None], dst=to)
     return out
 
 

@@ -27,12 +27,23 @@ __all__ = [
     "half_rows",
     "inner_span",
     "landings",
+    "mapped",
     "three_channels",
     "witnessed",
 ]
 
 BINS = 1 << 16
 MOST_RADIUS = 15  # level.cu grow_disc
+
+
+def mapped(colour, tables: np.ndarray):
+    out = device.current().xp.empty_like(colour)
+    K, height, width, channels = colour.shape
+    launch_tiles(
+        "level", "mapped", (K, height, width), colour, device.current().upload(tables),
+        *int32(height, width, channels), out,
+    )  # fmt: skip
+    return out
 
 
 def copied(array):

@@ -13,6 +13,7 @@ from .cuda_levels import (
     half_rows,
     inner_span,
     landings,
+    mapped,
     three_channels,
     witnessed,
 )
@@ -48,6 +49,7 @@ __all__ = [
     "inner_span",
     "labels",
     "landings",
+    "mapped",
     "planes",
     "planes_of_views",
     "three_channels",

@@ -32,6 +32,7 @@ __all__ = [
     "input_masks",
     "landings",
     "lane",
+    "mapped",
     "mark",
     "probability",
     "received",
@@ -92,6 +93,14 @@ def told(
     if keep is not None:
         disparity, sure = np.where(keep, np.float32(0), disparity), np.where(keep, np.float32(0), sure)
     return disparity, sure, ray_count(shown)
+
+
+def mapped(colour: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    """tables uint8 [K, C, 256] of every grey level, of the channels of colour uint8 [K, H, W, C]."""
+    return np.stack([
+        cv2.LUT(view, np.ascontiguousarray(table.T)[None]).reshape(view.shape)
+        for view, table in zip(colour, tables, strict=True)
+    ])  # fmt: skip
 
 
 def copied(array: np.ndarray) -> np.ndarray:

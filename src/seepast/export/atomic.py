@@ -16,6 +16,9 @@ import numpy as np
 from ..errors import OutputError, SeepastError
 
 PART_SUFFIX = ".part"
+# every row less the one above: depth, confidence and coverage take half the room, and a third less time, of OpenCV's
+# own choice (less the pixel before); releases before 4.11 leave no choice
+PNG_FILTER = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP] if hasattr(cv2, "IMWRITE_PNG_FILTER") else []
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -40,7 +43,7 @@ def write_json(path: Path, value: Any) -> None:
 
 def write_png(path: Path, image: np.ndarray) -> None:
     """uint8 [H, W] or [H, W, 3] BGR, or uint16 [H, W]."""
-    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image), PNG_FILTER)
     if not encoded:
         raise OutputError(f"{path}: {image.dtype} image of shape {image.shape} cannot be encoded as PNG")
     write_bytes(path, data.tobytes())

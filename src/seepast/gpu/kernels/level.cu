@@ -23,6 +23,16 @@ __device__ void enlarge(const T* __restrict__ in, int height, int width, int rat
 
 }  // namespace
 
+// Grey levels by tables uint8 [V, channels, 256]: colour uint8 [V, H, W, channels] -> out.
+extern "C" __global__ void __launch_bounds__(kAcross* kDown)
+    mapped(const uint8_t* __restrict__ colour, const uint8_t* __restrict__ tables, int height, int width,
+           int channels, uint8_t* __restrict__ out) {
+  const int x = blockIdx.x * kAcross + threadIdx.x, y = blockIdx.y * kDown + threadIdx.y, view = blockIdx.z;
+  if (x >= width || y >= height) return;
+  const size_t at = channels * index(view, height, width, y, x);
+  for (int c = 0; c < channels; ++c) out[at + c] = tables[(view * channels + c) * 256 + colour[at + c]];
+}
+
 // Pixels of `scale` x `scale` each: colour uint8 [V, H, W, 3] -> small [V, h, w, 3], rounded as OpenCV's
 // INTER_AREA; is_static uint8 [V, H, W] -> [V, h, w], all of them.
 extern "C" __global__ void __launch_bounds__(kAcross* kDown)
