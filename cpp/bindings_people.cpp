@@ -75,8 +75,7 @@ void bind_people(nb::module_& m) {
   m.def(
       "object_grid",
       [](In<float, 3> offsets, In<float, 2> centers, int reference, In<uint8_t, 4> saw, In<float, 3> surfaces,
-         const Cells& cells, int stride, In<uint16_t, 3> floor, Out<uint16_t, 3> mean,
-         Out<int64_t, 4> sums) {
+         const Cells& cells, int stride, In<uint16_t, 3> floor, Out<uint16_t, 3> mean, Out<int64_t, 4> sums) {
         const auto views = views_of(offsets, centers, surfaces.shape(1), surfaces.shape(2));
         object_grid(views.data(), reference, saw.data(), surfaces.data(), cells, stride, floor.data(),
                     mean.data(), sums.data());

@@ -240,7 +240,7 @@ def border_threshold(counts: np.ndarray, total: int) -> int | None:
     """Index of the threshold whose region ends where surfaces end; None where none does well enough.
 
     argmax B recall^(1/2) precision^(1/4): B, the share of its border with the inside clearly nearer; recall, the share
-    of all P that lies inside; precision, the mean P inside. A person that is left out is worse than a table taken along.
+    of all P that lies inside; precision, the mean P inside. A person left out is worse than a table taken along.
     """
     on_steps, border, weight, area = counts.astype(np.float64)
     B = on_steps / np.maximum(border, 1)

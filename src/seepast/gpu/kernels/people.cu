@@ -111,9 +111,8 @@ extern "C" __global__ void __launch_bounds__(kAcross* kDown)
   if (!at.there) return;
   const int y = grid.image(at.j);
   const size_t away = static_cast<size_t>(rows) * width;
-  const bool floor =
-      y >= rows && y + rows < height &&
-      slopes(surfaces[at.image - away], surfaces[at.image], surfaces[at.image + away], least);
+  const bool floor = y >= rows && y + rows < height &&
+                     slopes(surfaces[at.image - away], surfaces[at.image], surfaces[at.image + away], least);
   out[at.lattice] = floor ? kUnknown : static_cast<uint16_t>(0);
 }
 
