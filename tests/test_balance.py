@@ -61,9 +61,11 @@ def test_equal_cameras_are_left_alone() -> None:
 
 
 def test_a_camera_that_shows_too_little_is_left_alone() -> None:
-    dark, grey = np.full(1000, 5, np.uint8), np.full(1000, 100, np.uint8)
-    assert balance.ratio(grey, dark) == balance.ratio(grey[:9], grey[:9]) == balance.ratio(grey[:0], grey[:0]) == 1
-    assert balance.ratio(grey, grey // 2) == 2
+    dark, grey = np.full((1000, 3), 5, np.uint8), np.full((1000, 3), 100, np.uint8)
+    for wanted, other in ((grey, dark), (grey[:9], 2 * grey[:9]), (grey[:0], grey[:0])):
+        assert (balance.ratios(wanted, other) == 1).all()
+    tinted = grey // np.array([2, 1, 25], np.uint8)
+    assert np.array_equal(balance.ratios(grey, tinted), [2, 1, 1])
     seen = seen_in(make_scene(3, (90, 60), masks="none"))
     blind = replace(seen, agree=np.zeros_like(seen.agree))
     assert (balance.brightness(blind) == 1).all()

@@ -17,7 +17,7 @@ from .frames import Frame
 from .many import UNITS
 from .surfaces import Surfaces
 
-SAMPLE = 3  # every so many-th pixel of the look says enough
+SAMPLE = 4  # every so many-th pixel of the look says enough
 DARK, BRIGHT = 20, 235  # grey levels whose ratio can be trusted
 FEWEST = 64  # ratios that make a median
 MOST = 4.0  # times brighter, or darker: what differs by more is no exposure
@@ -45,15 +45,16 @@ def brightness(seen: Surfaces) -> np.ndarray:
     for k in range(geometry.cameras):
         if k != r:
             u, v = (np.rint(p).astype(np.int64) for p in geometry.warp(k, x, y, d))
-            there = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-            gains[k] = [ratio(own[there, c], colour[k, v[there], u[there], c]) for c in range(3)]
+            there = np.flatnonzero((u >= 0) & (u < width) & (v >= 0) & (v < height))
+            gains[k] = ratios(own[there], colour[k, v[there], u[there]])
     return gains
 
 
-def ratio(wanted: np.ndarray, other: np.ndarray) -> float:
-    """Median of wanted / other, grey levels uint8 [n] of the same points; 1 if too few are neither dark nor bright."""
-    low, high = np.minimum(wanted, other), np.maximum(wanted, other)
-    sure = (low >= DARK) & (high <= BRIGHT)
-    if np.count_nonzero(sure) < FEWEST:
-        return 1.0
-    return float(np.median(wanted[sure] / other[sure]).clip(1 / MOST, MOST))
+def ratios(wanted: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Median of wanted / other in every channel, uint8 [n, 3] of the same points: float64 [3]; 1 where too few are
+    neither dark nor bright."""
+    sure = (np.minimum(wanted, other) >= DARK) & (np.maximum(wanted, other) <= BRIGHT)
+    count = np.count_nonzero(sure, axis=0)
+    found = np.sort(np.where(sure, wanted / np.maximum(other, 1), np.inf), axis=0)  # the others come last
+    gains = np.append(found, np.ones((1, 3)), axis=0)[np.where(count >= FEWEST, count // 2, -1), range(3)]
+    return gains.clip(1 / MOST, MOST)
