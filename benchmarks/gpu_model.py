@@ -121,11 +121,12 @@ class Counted:
         self.kernels["median"].add(candidates.active.size, 0, 4 if everywhere else 12)
         self.kernels["median"].add(candidates.active.size if everywhere else active, 430, 0)
 
-    def votes_of_views(self, costs, disparities, confidence, statics, views, candidates, skips, weights):
+    def votes_of_views(self, costs, disparities, confidence, statics, views, candidates, skips, weights, outs=None):
         for of, static in zip(candidates, statics, strict=True):
             self._voting(of, static, weights)
         self.kernels["votes"].launches += 1
-        return cpu_multiview.votes_of_views(costs, disparities, confidence, statics, views, candidates, skips, weights)
+        given = costs, disparities, confidence, statics, views, candidates, skips, weights, outs
+        return cpu_multiview.votes_of_views(*given)
 
     def votes(self, costs, disparities, confidence, static, geometry, candidates, skip, weights, out=None):
         self._voting(candidates, static, weights)
