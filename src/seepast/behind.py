@@ -56,7 +56,7 @@ def surprise(
     for k, view in enumerate(geometry.views):
         others = backend.copied(static)
         others[k] &= ~wanted[k]  # what it sees itself is no prediction
-        _, shown, _ = backend.labels(d[k], d, others, view, tolerance, wanted[k])
+        shown, _, _ = backend.labels(d[k], d, others, view, tolerance, wanted[k])
         near = camera_weights(view, o)
         expected.append(backend.blend(pictures.colour, shown, clear, near, o.edge_weight, view, d[k], wanted[k]))
         rays.append(shown)
