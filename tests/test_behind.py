@@ -53,7 +53,7 @@ def surprise(scene: Scene, objects: np.ndarray, stride: int, preset: str, backen
     pictures = Pictures(views.three_channels(scene.colour), scene.dynamic != NO_RAY, scene.geometry, views)
     seen = surfaces(pictures, scene.geometry, looks(scene.geometry, options)[-1], options, views)
     return behind.surprise(
-        scene.dynamic, pictures, seen, scene.geometry, options, views, masks, multiview.behind, objects, stride
+        scene.dynamic, pictures, seen, scene.geometry, options, views, masks, multiview.unhidden, objects, stride
     )
 
 

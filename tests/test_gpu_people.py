@@ -10,7 +10,18 @@ from seepast import people
 from seepast.backends import cuda_people, reference_people
 from seepast.gpu import device
 from seepast.options import Options, PeopleOptions
-from test_people import OPTIONS, SCENES, SMALL, Steps, every_scene, frame_of, random_surfaces, shifted, surfaces_of
+from test_people import (
+    OPTIONS,
+    SCENES,
+    SMALL,
+    Steps,
+    every_scene,
+    frame_of,
+    random_surfaces,
+    shifted,
+    surfaces_of,
+    surprise_of,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -61,10 +72,7 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     person, sure = rng.integers(0, 2, shape, np.uint8), rng.integers(-1, 2, shape, np.int8)
     for a, b in zip(*both(lambda b: b.histograms(s.scene.dynamic, s.colour, person, stride)), strict=True):
         assert np.array_equal(a, b)
-    surprise, again = both(lambda b: b.surprises(s.bgr, list(s.behind), list(s.rays), s.wanted))
-    assert np.array_equal(surprise, again) and len(np.unique(surprise)) > 8
-    counts, again = both(lambda b: b.surprise_counts(surprise, sure, stride))
-    assert np.array_equal(counts, again) and counts[:, :, 8:].all()
+    surprise = surprise_of(s, sure, both)
     for radius in (0, 1, 3):
         assert np.array_equal(*both(lambda b: b.within(person, radius)))  # noqa: B023
     assert np.array_equal(*both(lambda b: b.colour_moments(s.colour, sure, stride, people.BLOCK)))

@@ -113,6 +113,15 @@ def both(call) -> list:
     return [call(backend) for backend in (reference_people, cpu_people)]
 
 
+def surprise_of(s: Steps, sure: np.ndarray, both) -> np.ndarray:
+    """Surprise, the same on all that `both` asks, and so is how often every level comes."""
+    surprise, again = both(lambda b: b.surprises(s.bgr, list(s.behind), list(s.rays), s.wanted))
+    assert np.array_equal(surprise, again) and len(np.unique(surprise)) > 8
+    counts, again = both(lambda b: b.surprise_counts(surprise, sure, s.stride))
+    assert np.array_equal(counts, again) and counts[:, :, 8:].all()
+    return surprise
+
+
 @pytest.mark.parametrize("stride", [1, 2, 3])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_every_loop_equals_reference(stride: int, channels: int) -> None:
@@ -137,10 +146,7 @@ def test_every_loop_equals_reference(stride: int, channels: int) -> None:
     person, sure = rng.integers(0, 2, shape, np.uint8), rng.integers(-1, 2, shape, np.int8)
     for a, b in zip(*both(lambda b: b.histograms(s.scene.dynamic, s.colour, person, stride)), strict=True):
         assert np.array_equal(a, b) and a.sum() > 100
-    surprise, again = both(lambda b: b.surprises(s.bgr, list(s.behind), list(s.rays), s.wanted))
-    assert np.array_equal(surprise, again) and len(np.unique(surprise)) > 8
-    counts, again = both(lambda b: b.surprise_counts(surprise, sure, stride))
-    assert np.array_equal(counts, again) and counts[:, :, 8:].all()
+    surprise = surprise_of(s, sure, both)
     for radius in (0, 1, 3):
         assert np.array_equal(*both(lambda b: b.within(person, radius)))  # noqa: B023
     assert np.array_equal(*both(lambda b: b.colour_moments(s.colour, sure, stride, people.BLOCK)))

@@ -2,7 +2,8 @@
 
 Exposures differ by some per cent even where nobody meant them to, and every step of a picture that is made of several
 cameras shows. The surfaces that views agree on (surfaces.py) are compared pixel by pixel: per camera and channel, the
-gain is the median of the ratios. What the wanted camera shows itself stays as it is.
+gain is the median of the ratios. What the wanted camera shows itself stays as it is. (`seepast check`, which has no
+surfaces, measures gains from sparse matches: checks/images.py.)
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ from .surfaces import Surfaces, looks, static_span
 
 BESIDE = 8  # px beside objects that are predicted, too
 
-# of a level and the span of its disparities: those of all views, uint16 [K, h, w] (multiview.behind)
-Behind = Callable[[Level, tuple[float, float], Options, ModuleType], np.ndarray]
+# of a level and the span of its disparities: those of all views, uint16 [K, h, w] (multiview.unhidden)
+Unhidden = Callable[[Level, tuple[float, float], Options, ModuleType], np.ndarray]
 
 
 def surprise(
@@ -35,7 +35,7 @@ def surprise(
     options: Options,
     backend: ModuleType,
     people: ModuleType,
-    behind: Behind,
+    unhidden: Unhidden,
     objects: np.ndarray,
     stride: int,
 ) -> np.ndarray:
@@ -49,7 +49,7 @@ def surprise(
     hidden = backend.enlarged(objects.view(bool), stride, dynamic.shape[1:])
     static, wanted = has_ray & ~hidden, has_ray & backend.beside(hidden, BESIDE, BESIDE)
     without = Pictures(pictures.colour, static, geometry, backend)
-    d = disparities(without, seen, static, geometry, options, backend, behind)
+    d = disparities(without, seen, static, geometry, options, backend, unhidden)
     o = options.multiview
     clear, tolerance = backend.clear_of_masks(static), round(UNITS * o.label_tolerance)
     expected, rays = [], []
@@ -70,12 +70,12 @@ def disparities(
     geometry: ArrayGeometry,
     options: Options,
     backend: ModuleType,
-    behind: Behind,
+    unhidden: Unhidden,
 ) -> np.ndarray:
     """D_k of the static scene in all views, looked for as coarsely as surfaces are at first: uint16 [K, H, W]."""
     look, shape = looks(geometry, options)[0], static.shape[1:]
     span = static_span(seen, static, geometry, options, backend)
-    found = behind(without.level(look.scale, look.half_rows), span, options, backend)
+    found = unhidden(without.level(look.scale, look.half_rows), span, options, backend)
     rows = shape[0] // (1 + look.half_rows)
     d = backend.enlarged(found, look.scale, (rows, shape[1]), look.scale)
     return backend.double_rows(d, shape[0]) if look.half_rows else d

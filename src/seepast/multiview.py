@@ -71,7 +71,7 @@ def see_past(
     if not exact:
         with clock("people"):  # masks from all views: people as surfaces that all cameras see, unlike what is behind
             whole = seen.at_full_size(dynamic.shape[1:], backend)
-            unlike = partial(surprise, dynamic, pictures, seen, geometry, options, backend, people, behind)
+            unlike = partial(surprise, dynamic, pictures, seen, geometry, options, backend, people, unhidden)
             known = unlike if options.people.behind else None
             dynamic = refine_people(frame, whole, geometry, options.people, people, known)
             static = dynamic <= most
@@ -104,7 +104,7 @@ def see_past(
     }, o.rounds
 
 
-def behind(level: Level, span: tuple[float, float], options: Options, backend: ModuleType) -> np.ndarray:
+def unhidden(level: Level, span: tuple[float, float], options: Options, backend: ModuleType) -> np.ndarray:
     """D_k of all views on one level, each asked of the others what is hidden from it: uint16 [K, h, w]."""
     each = replace(options.multiview, rounds=2, planes=False)
     return at_level(level, span, None, False, replace(options, multiview=each), backend, nullcontext).disparity

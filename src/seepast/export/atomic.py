@@ -17,7 +17,7 @@ from ..errors import OutputError, SeepastError
 
 PART_SUFFIX = ".part"
 # every row less the one above: depth, confidence and coverage take half the room, and a third less time, of OpenCV's
-# own choice (less the pixel before); releases before 4.11 leave no choice
+# own choice (less the pixel before); older releases of it leave no choice
 PNG_FILTER = [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP] if hasattr(cv2, "IMWRITE_PNG_FILTER") else []
 
 
